@@ -1,0 +1,50 @@
+"""The errors of Adjoint GI: each names the object, the reason and the remedy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Notice:
+    """One sentence for the user: which object, what is wrong, what to do about it.
+
+    `severity` is "info", "warning" or "error"; an error in a pre-flight list refuses the bake.
+    """
+
+    object: str
+    reason: str
+    remedy: str = ""
+    severity: str = "warning"
+
+    def __str__(self) -> str:
+        text = f"{self.object}: {self.reason}" if self.object else self.reason
+        return f"{text}. {self.remedy}" if self.remedy else text
+
+
+class AdjointError(Exception):
+    """Base of every error raised on purpose; carries the `Notice` that is shown to the user."""
+
+    def __init__(self, object: str, reason: str, remedy: str = "") -> None:
+        self.notice = Notice(object, reason, remedy, "error")
+        super().__init__(str(self.notice))
+
+
+class SceneError(AdjointError):
+    """The scene cannot be solved as it is: no geometry, coordinates that are not numbers, no camera."""
+
+
+class SettingsError(AdjointError):
+    """A setting is unknown, of the wrong type or out of its range."""
+
+
+class MemoryRefused(AdjointError):
+    """The method would need more memory than its limit allows; the message says both numbers."""
+
+
+class WriteError(AdjointError):
+    """A result could not be written or did not read back as it was written."""
+
+
+class TargetError(AdjointError):
+    """The place to write to is missing or cannot be used: no UV layer, linked mesh, symlink, not our file."""

@@ -1,0 +1,131 @@
+"""Where an answer is wanted: texels, vertices or corners, elements, camera pixels, all behind one interface."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from .world import World
+
+CHUNK = 1 << 15
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Sample points of receivers.
+
+    receiver (n,) int64; triangle (n,) int32, -1 where there is no surface (a camera ray that misses);
+    u, v (n,) float32; towards (n, 3) float32 direction back to the viewer, or None on the front side of the surface.
+    origin (n, 3) float32 where camera rays start. rays: how many rays finding the points took.
+    """
+
+    receiver: np.ndarray
+    triangle: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    towards: np.ndarray | None = None
+    origin: np.ndarray | None = None
+    distance: np.ndarray | None = None
+    rays: int = 0
+
+
+class Receivers:
+    """Base. `kind` is texels, vertices, camera or elements; `measure` is irradiance or radiance; `count` how many there are."""
+
+    kind: str
+    measure: str = "irradiance"
+    count: int = 0
+
+    def sample(self, receiver: np.ndarray, rng: np.random.Generator) -> Points:
+        """One random point on each of the receivers (n,) int64."""
+        raise TypeError(f"{type(self).__name__} does not define sample()")
+
+    def sites(self) -> Iterator[Points]:
+        """A fixed set of points that covers every receiver evenly, in chunks: for values that need no random numbers."""
+        raise TypeError(f"{type(self).__name__} does not define sites()")
+
+
+class SurfaceReceivers(Receivers):
+    """Receivers that are small sets of surface points: the sub-texels of a texel, the faces around a vertex.
+
+    Point k of receiver i is entry `start[i] + k` of `triangle`, `u`, `v`; `start` has count + 1 entries and every receiver
+    has at least one point.
+    """
+
+    def __init__(self, kind: str, start: np.ndarray, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> None:
+        self.kind = kind
+        self.start = np.asarray(start, np.int64)
+        self.triangle = np.asarray(triangle, np.int32)
+        self.u = np.asarray(u, np.float32)
+        self.v = np.asarray(v, np.float32)
+        self.count = len(self.start) - 1
+
+    def sample(self, receiver: np.ndarray, rng: np.random.Generator) -> Points:
+        """One of the receiver's points, all equally likely."""
+        first = self.start[receiver]
+        many = self.start[receiver + 1] - first
+        pick = first + np.minimum((rng.random(len(receiver), np.float32) * many).astype(np.int64), many - 1)
+        return Points(receiver, self.triangle[pick], self.u[pick], self.v[pick])
+
+    def sites(self) -> Iterator[Points]:
+        """All points."""
+        owner = np.repeat(np.arange(self.count), np.diff(self.start))
+        for a in range(0, len(owner), CHUNK):
+            b = slice(a, a + CHUNK)
+            yield Points(owner[b], self.triangle[b], self.u[b], self.v[b])
+
+
+class CameraReceivers(Receivers):
+    """The pixels of the scene's camera, row 0 at the bottom; receiver index is row * width + column."""
+
+    kind = "camera"
+    measure = "radiance"
+
+    def __init__(self, world: World, grid: int = 4) -> None:
+        self.world = world
+        self.camera = world.scene.camera
+        self.width, self.height = self.camera.width, self.camera.height
+        self.count = self.width * self.height
+        self.grid = grid
+
+    def rays(self, receiver: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Origins and unit directions (n, 3) float32 through offsets dx, dy in 0..1 of the pixels."""
+        camera = self.camera
+        left, right, bottom, top = camera.frame
+        x = left + (right - left) * ((receiver % self.width) + dx) / self.width
+        y = bottom + (top - bottom) * ((receiver // self.width) + dy) / self.height
+        r, u, f = (np.asarray(a, np.float64) for a in (camera.right, camera.up, camera.forward))
+        position = np.asarray(camera.position, np.float64) - self.world.center
+        plane = x[:, None] * r + y[:, None] * u
+        if camera.kind == "orthographic":
+            origin = position + plane + camera.clip_start * f
+            direction = np.broadcast_to(f, origin.shape)
+        else:
+            direction = plane + f
+            origin = position + camera.clip_start * direction
+            direction = direction / np.linalg.norm(direction, axis=1)[:, None]
+        return np.ascontiguousarray(origin, np.float32), np.ascontiguousarray(direction, np.float32)
+
+    def _points(self, receiver: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> Points:
+        origin, direction = self.rays(receiver, dx, dy)
+        triangle, u, v, t = self.world.intersect(origin, direction)
+        beyond = t * np.abs(direction @ np.asarray(self.camera.forward, np.float32)) > self.camera.clip_end - self.camera.clip_start
+        triangle = np.where(beyond, np.int32(-1), triangle)
+        return Points(receiver, triangle, u, v, -direction, origin, t, len(receiver))
+
+    def sample(self, receiver: np.ndarray, rng: np.random.Generator) -> Points:
+        """Where a random ray through each pixel meets the scene (box filter)."""
+        d = rng.random((2, len(receiver)), np.float32)
+        return self._points(receiver, d[0], d[1])
+
+    def sites(self) -> Iterator[Points]:
+        """A regular grid of rays in every pixel."""
+        steps = (np.arange(self.grid) + 0.5) / self.grid
+        dx, dy = (a.ravel() for a in np.meshgrid(steps, steps))
+        block = max(1, CHUNK // len(dx))
+        for a in range(0, self.count, block):
+            pixel = np.arange(a, min(a + block, self.count))
+            receiver = np.repeat(pixel, len(dx))
+            yield self._points(receiver, np.tile(dx, len(pixel)), np.tile(dy, len(pixel)))

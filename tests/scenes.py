@@ -1,0 +1,136 @@
+"""Scenes with known answers (verification page, section 2.3), built without Blender. Names T1, T3 and so on are that page's."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene import Camera, SceneArrays
+
+
+def cube(rho=0.5, emission=0.0, materials=None) -> SceneArrays:
+    """Unit cube seen from inside; T1 with uniform emission. `emission` is radiosity; face order -x +x -y +y -z +z."""
+    b = SceneBuilder()
+    b.box("Cube", (0, 0, 0), (1, 1, 1), materials or diffuse("Wall", rho, emission / np.pi), inward=True)
+    return b.build()
+
+
+def lit_cube(rho) -> SceneArrays:
+    """T9: unit cube whose ceiling has emitted radiosity 1; `rho` is one number or six (-x +x -y +y -z +z)."""
+    rho = np.broadcast_to(rho, 6)
+    mats = [diffuse(f"Face{i}", float(r), 1 / np.pi if i == 5 else 0.0) for i, r in enumerate(rho)]
+    return cube(materials=mats)
+
+
+def room(rho_ceiling=0.7, rho_floor=0.2, rho_wall=0.5, emission=(0, 0, 0, 0, 0, 1.0)) -> SceneArrays:
+    """4 x 4 x 3 room with faces of unequal area; `emission` is the radiosity of -x +x -y +y -z +z."""
+    rho = (rho_wall,) * 4 + (rho_floor, rho_ceiling)
+    mats = [diffuse(f"Face{i}", r, e / np.pi) for i, (r, e) in enumerate(zip(rho, emission, strict=True))]
+    b = SceneBuilder()
+    b.box("Room", (0, 0, 0), (4, 4, 3), mats, inward=True)
+    return b.build()
+
+
+def icosphere(level: int) -> tuple[np.ndarray, np.ndarray]:
+    """Unit sphere of 20 * 4**level triangles, wound outward: vertices (n, 3), triangles (m, 3)."""
+    g = (1 + 5**0.5) / 2
+    v = [
+        (-1, g, 0),
+        (1, g, 0),
+        (-1, -g, 0),
+        (1, -g, 0),
+        (0, -1, g),
+        (0, 1, g),
+        (0, -1, -g),
+        (0, 1, -g),
+        (g, 0, -1),
+        (g, 0, 1),
+        (-g, 0, -1),
+        (-g, 0, 1),
+    ]
+    t = [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4), (11, 10, 2), (10, 7, 6), (7, 1, 8)]
+    t += [(3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1)]
+    vertices = np.array(v, float)
+    triangles = np.array(t)
+    for _ in range(level):
+        edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+        unique, back = np.unique(edges, axis=0, return_inverse=True)
+        middle = len(vertices) + back.reshape(3, -1).T
+        vertices = np.concatenate([vertices, vertices[unique].mean(axis=1)])
+        a, b, c = triangles.T
+        ab, bc, ca = middle.T
+        triangles = np.concatenate([np.stack(x, 1) for x in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+    vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    return vertices, triangles
+
+
+def two_zone_sphere(level=4, emission=(1.0, 0.0), rho=(0.2, 0.8)) -> SceneArrays:
+    """T3: sphere seen from inside, z > 0 is zone 0 and z < 0 zone 1. H = mean(E) / (1 - mean(rho)) everywhere."""
+    vertices, triangles = icosphere(level)
+    triangles = triangles[:, ::-1]
+    which = (vertices[triangles].mean(axis=1)[:, 2] < 0).astype(int)
+    mats = [diffuse(f"Zone{i}", rho[i], emission[i] / np.pi) for i in (0, 1)]
+    b = SceneBuilder()
+    b.mesh("Sphere", vertices, triangles, mats, which=which)
+    return b.build()
+
+
+def sphere_wall(level: int, keep_below: float) -> tuple[np.ndarray, np.ndarray]:
+    """Unit sphere cut at z = keep_below, exactly: a grid in (z, phi) so that the rim is a true circle, normals inward."""
+    rows, cols = 4 * 2**level, 8 * 2**level
+    z = np.linspace(-1, keep_below, rows + 1)
+    phi = 2 * np.pi * np.arange(cols) / cols
+    r = np.sqrt(np.maximum(0, 1 - z**2))
+    vertices = np.stack([np.outer(r, np.cos(phi)), np.outer(r, np.sin(phi)), np.repeat(z[:, None], cols, 1)], -1).reshape(-1, 3)
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(rows), np.arange(cols), indexing="ij"))
+    a, b = i * cols + j, i * cols + (j + 1) % cols
+    c, d = a + cols, b + cols
+    triangles = np.concatenate([np.stack([a, c, d], 1), np.stack([a, d, b], 1)])
+    p = vertices[triangles]
+    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    return vertices, triangles[area > 1e-12]
+
+
+def snowman(level=4, c=0.1, rho=(0.5, 0.5), emission=(1.0, 0.0)) -> SceneArrays:
+    """T6: two unit spheres, each missing a cap of area share c, joined at the common circle. Room A is below."""
+    z0 = 1 - 2 * c
+    vertices, triangles = sphere_wall(level, z0)
+    mats = [diffuse(f"Room{i}", rho[i], emission[i] / np.pi) for i in (0, 1)]
+    b = SceneBuilder()
+    b.mesh("A", vertices, triangles, mats[0])
+    upper = vertices * (1, 1, -1) + (0, 0, 2 * z0)
+    b.mesh("B", upper, triangles[:, ::-1], mats[1])
+    return b.build()
+
+
+def snowman_answer(c, rho, emission) -> tuple[float, float]:
+    """Radiosities of the two rooms of T6."""
+    (pa, pb), (ea, eb) = rho, emission
+    d = (1 - pa * (1 - c)) * (1 - pb * (1 - c)) - pa * pb * c * c
+    return (ea * (1 - pb * (1 - c)) + pa * c * eb) / d, (eb * (1 - pa * (1 - c)) + pb * c * ea) / d
+
+
+def cornell(width=64, height=64, boxes=True, light=15.0) -> SceneArrays:
+    """A unit Cornell box open towards -y, mesh light below the ceiling, two boxes, camera in front."""
+    white, red, green = diffuse("White", 0.73), diffuse("Red", (0.63, 0.065, 0.05)), diffuse("Green", (0.14, 0.45, 0.091))
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (1, 0, 0), (0, 1, 0), white)
+    b.quad("Ceiling", (0, 0, 1), (0, 1, 0), (1, 0, 0), white)
+    b.quad("Back", (0, 1, 0), (1, 0, 0), (0, 0, 1), white)
+    b.quad("Left", (0, 0, 0), (0, 1, 0), (0, 0, 1), red)
+    b.quad("Right", (1, 0, 0), (0, 0, 1), (0, 1, 0), green)
+    b.quad("Lamp", (0.35, 0.35, 0.99), (0, 0.3, 0), (0.3, 0, 0), diffuse("Lamp", 0.0, light))
+    if boxes:
+        _turned_box(b, "Short", (0.67, 0.32), 0.3, 0.3, 0.3, -0.29, white)
+        _turned_box(b, "Tall", (0.34, 0.64), 0.3, 0.3, 0.6, 0.3, white)
+    b.camera = Camera("perspective", (0.5, -1.35, 0.5), (1, 0, 0), (0, 0, 1), (0, 1, 0), (-0.38, 0.38, -0.38, 0.38), width, height)
+    return b.build()
+
+
+def _turned_box(b, name, centre, sx, sy, height, angle, material) -> None:
+    x = np.array([np.cos(angle), np.sin(angle), 0]) * sx
+    y = np.array([-np.sin(angle), np.cos(angle), 0]) * sy
+    z = np.array([0, 0, height])
+    low = np.array([*centre, 0]) - x / 2 - y / 2
+    for label, corner, e, f in (("-x", low, z, y), ("+x", low + x, y, z), ("-y", low, x, z), ("+y", low + y, z, x), ("top", low + z, x, y)):
+        b.quad(f"{name} {label}", corner, e, f, material)
