@@ -17,8 +17,8 @@ class Shading:
     def __init__(self, scene: SceneArrays) -> None:
         self.scene = scene
         self._material = np.asarray(scene.material, np.int32)
-        self._albedo = _Field([m.total(*AS_DIFFUSE) for m in scene.materials], self)
-        self._emission = _Field([m.total("emission") for m in scene.materials], self)
+        self._albedo = ColorField([m.total(*AS_DIFFUSE) for m in scene.materials], scene)
+        self._emission = ColorField([m.total("emission") for m in scene.materials], scene)
 
     @property
     def textured(self) -> bool:
@@ -50,26 +50,28 @@ class Shading:
         return tuple(out)
 
 
-class _Field:
+class ColorField:
     """One colour for each material, with the constant ones in a table."""
 
-    def __init__(self, colors: list[Color], owner: Shading) -> None:
+    def __init__(self, colors: list[Color], scene: SceneArrays) -> None:
         self.colors = colors
-        self.owner = owner
+        self.scene = scene
+        self._material = np.asarray(scene.material, np.int32)
         self.table = np.array([c.constant for c in colors] or [(0.0, 0.0, 0.0)], np.float32)
         self.varying = [i for i, c in enumerate(colors) if not c.is_constant]
         self.is_varying = np.array([not c.is_constant for c in colors] or [False])
-        self.by_triangle = self.table[owner._material] if len(owner._material) else self.table[:0]
+        self.by_triangle = self.table[self._material] if len(self._material) else self.table[:0]
 
     def at(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n, 3) float32 values at barycentrics of triangles."""
         values = self.by_triangle[triangle]
         if not self.varying:
             return values
-        material = self.owner._material[triangle]
+        material = self._material[triangle]
         for index in self.varying:
             which = np.flatnonzero(material == index)
             if len(which):
-                values[which] = evaluate(self.colors[index], self.owner.scene, triangle[which], u[which], v[which])
+                values[which] = evaluate(self.colors[index], self.scene, triangle[which], u[which], v[which])
         return values
 
 
