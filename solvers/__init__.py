@@ -1,0 +1,19 @@
+"""The methods, one module each, in the order in which menus show them. A new method is a new file and one line in `MODULES`."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+MODULES: tuple[str, ...] = ()
+
+
+def load() -> None:
+    """Import every module of `MODULES`, which enters its methods in the registry; calling it again changes nothing.
+
+    Raises ImportError naming the module that cannot be imported: a missing method is never passed over in silence.
+    """
+    for name in MODULES:
+        try:
+            import_module(f".{name}", __name__)
+        except Exception as error:
+            raise ImportError(f"method module solvers/{name}.py cannot be loaded: {error}") from error
