@@ -33,7 +33,7 @@ def add_packages() -> None:
     folder = os.environ.get("ADJOINT_GI_TEST_PACKAGES")
     if folder is None:
         spec = importlib.util.spec_from_file_location("adjoint_gi_dev", ROOT / "dev.py")
-        dev = importlib.util.module_from_spec(spec)
+        dev = sys.modules["adjoint_gi_dev"] = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(dev)
         folder = dev.packages_folder(sys.version_info[:2])
     # Last on the path: what Blender or the installed extension brings comes first.
