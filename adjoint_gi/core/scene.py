@@ -137,11 +137,12 @@ class Light:
     Measured against Cycles 4.2, 5.0 and 5.2 (tests/blender/test_extract_lights.py):
     - soft_falloff (Blender's default for point and spot): not a sphere but a disk of that radius and radiance which faces each
       receiver, so that a facing receiver at distance d sees intensity / (d^2 + radius^2).
-    - spot: the intensity towards direction w is `color` * smoothstep(t), t = (c - cos(spot_angle / 2)) / ((1 - cos(spot_angle / 2)) spot_blend),
-      clamped to 0..1, smoothstep(t) = t^2 (3 - 2 t), where c is the cosine of the angle to -`axis_z` of w after its components along
-      `axis_x` and `axis_y` were divided by `spot_scale` (an object scaled unevenly has an elliptical cone). spot_blend 0 is a hard edge.
+    - spot: the intensity towards direction w is `color` * t^2 (3 - 2 t), t = (c - e) / ((1 - e) spot_blend) clamped to 0..1, where
+      e = cos(spot_angle / 2) and c is the cosine of the angle to -`axis_z` of w after its components along `axis_x` and `axis_y`
+      were divided by `spot_scale` (an object scaled unevenly has an elliptical cone). spot_blend 0 is a hard edge.
       With a radius, w is the direction from the sampled point of the sphere or disk to the receiver.
-    - area: the radiance at angle a to its normal is `color` * max(tan(h) - tan(a), 0) / (tan(h) - h), h = spread / 2, and `color` for spread = pi.
+    - area: the radiance at angle a to its normal is `color` * max(tan(h) - tan(a), 0) / (tan(h) - h), h = spread / 2,
+      and `color` for spread = pi.
     - sun: the radiance of its disk is `color` / (pi sin^2(angle / 2)).
     """
 
