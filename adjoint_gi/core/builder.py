@@ -119,7 +119,7 @@ class SceneBuilder:
             join(material, (0,), np.int32),
             join(owner, (0,), np.int32),
             join(polygon, (0,), np.int32),
-            np.arange(3 * nt, dtype=np.int32).reshape(nt, 3),
+            join([np.arange(3 * len(p["triangles"])).reshape(-1, 3) for p in self._parts], (0, 3), np.int32),
             tuple(self._materials),
             tuple(objects),
             lights=tuple(self._lights),

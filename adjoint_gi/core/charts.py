@@ -1,0 +1,60 @@
+"""Connected pieces: which triangles hang together in UV space, and the label propagation behind it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def components(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(count,) int64 labels 0, 1, ... of the connected components of a graph with edges a[k] - b[k], numbered by their first node.
+
+    Every round hooks the larger root of each edge onto the smaller one, then shortens all paths, so the number of rounds is
+    about logarithmic and no loop over nodes is needed.
+    """
+    root = np.arange(count, dtype=np.int64)
+    a, b = np.asarray(a, np.int64), np.asarray(b, np.int64)
+    while len(a):
+        ra, rb = root[a], root[b]
+        open_ = ra != rb
+        if not open_.any():
+            break
+        a, b, ra, rb = a[open_], b[open_], ra[open_], rb[open_]
+        root[np.maximum(ra, rb)] = np.minimum(ra, rb)
+        while True:
+            shorter = root[root]
+            if np.array_equal(shorter, root):
+                break
+            root = shorter
+    first, labels = np.unique(root, return_inverse=True)
+    assert len(first) <= count
+    return labels.reshape(-1)
+
+
+def edge_pairs(corner_id: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of triangles (k,), (k,) that share an edge, where `corner_id` (nt, 3) int64 is equal for equal corners.
+
+    An edge of three or more triangles gives a chain of pairs, which is all that connected components need.
+    """
+    n = len(corner_id)
+    low = np.minimum(corner_id, np.roll(corner_id, -1, axis=1)).ravel()
+    high = np.maximum(corner_id, np.roll(corner_id, -1, axis=1)).ravel()
+    key = low * (int(corner_id.max(initial=0)) + 1) + high
+    order = np.argsort(key, kind="stable")
+    same = key[order][1:] == key[order][:-1]
+    owner = np.repeat(np.arange(n), 3)[order]
+    return owner[:-1][same], owner[1:][same]
+
+
+def uv_corner_ids(triangles: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """(nt, 3) int64: equal for corners with the same vertex of `triangles` (nt, 3) and the same UV in `uv` (nt, 3, 2) float32."""
+    bits = np.ascontiguousarray(uv + np.float32(0), np.float32).view(np.uint32).astype(np.uint64)  # + 0 turns -0 into 0
+    _, place = np.unique((bits[..., 0] << np.uint64(32) | bits[..., 1]).ravel(), return_inverse=True)
+    place = place.reshape(-1).astype(np.int64)
+    key = np.asarray(triangles, np.int64).ravel() * (int(place.max(initial=0)) + 1) + place
+    _, ids = np.unique(key, return_inverse=True)
+    return ids.reshape(-1, 3).astype(np.int64)
+
+
+def uv_charts(triangles: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """(nt,) int64 chart of each triangle: triangles that share an edge both on the mesh and in UV space are of one chart."""
+    return components(len(triangles), *edge_pairs(uv_corner_ids(triangles, uv)))
