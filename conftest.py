@@ -28,6 +28,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent
 MODE = os.environ.get("ADJOINT_GI_EXTENSION", "")
 EXTENSION = "bl_ext.user_default.adjoint_gi"
+CHECKOUT_ONLY = ("adjgi.tests", "adjgi.bench", "adjgi.dev")  # do not ship
 TEMPORARY: list[str] = []  # user folders made by this run
 
 
@@ -38,9 +39,9 @@ class AliasFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         self._specs: dict[str, importlib.machinery.ModuleSpec | None] = {}
 
     def find_spec(self, fullname, path=None, target=None):
-        if fullname == "adjgi.tests":  # not part of the extension: always the checkout's
-            return importlib.machinery.PathFinder.find_spec("adjgi.tests", [str(ROOT)])
-        if fullname.startswith("adjgi.tests."):
+        if fullname in CHECKOUT_ONLY:
+            return importlib.machinery.PathFinder.find_spec(fullname, [str(ROOT)])
+        if fullname.startswith(tuple(name + "." for name in CHECKOUT_ONLY)):
             return None
         if fullname == "adjgi" or fullname.startswith("adjgi."):
             return importlib.machinery.ModuleSpec(fullname, self)
@@ -82,9 +83,8 @@ def enable_extension(link_checkout: bool) -> None:
     """Enable the extension in this process and make `adjgi` its alias; raises pytest.UsageError with the reason when that fails."""
     if link_checkout:
         if "bpy" in sys.modules and "BLENDER_USER_RESOURCES" not in os.environ:
-            raise pytest.UsageError(
-                "ADJOINT_GI_EXTENSION=1 inside Blender would write into the user's own folder: set BLENDER_USER_RESOURCES to an empty folder"
-            )
+            reason = "ADJOINT_GI_EXTENSION=1 inside Blender would write into the user's own folder"
+            raise pytest.UsageError(f"{reason}: set BLENDER_USER_RESOURCES to an empty folder")
         if "BLENDER_USER_RESOURCES" not in os.environ:
             TEMPORARY.append(tempfile.mkdtemp(prefix="adjoint_gi_user_"))
             os.environ["BLENDER_USER_RESOURCES"] = TEMPORARY[0]

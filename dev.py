@@ -5,6 +5,7 @@
     python dev.py test [arguments]      ruff, then all tests in the bpy wheel (arguments go to pytest, and ruff is left out)
     python dev.py build                 fetch and check the wheels, validate, build the extension's zips into dist/
     python dev.py matrix [VERSION ...]  the tests in several Blender versions (default: all of MATRIX)
+    python dev.py blender PROGRAM [...] install the built zip into an empty folder of a real Blender and run the tests in it
     python dev.py packages [PYTHON]     the folder with pytest and the libraries for tests/run.py inside a real Blender
 
 Everything it makes is kept and used again: `.venv` here, the rest under ADJOINT_GI_CACHE (default: the user's cache folder).
@@ -14,9 +15,11 @@ from __future__ import annotations
 
 import hashlib
 import os
+import platform
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 import tomllib
 from collections.abc import Iterable
@@ -25,6 +28,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
 TOOLS = ("pytest==9.2.0", "ruff==0.17.6")
+PIP = ("-q", "--disable-pip-version-check", "--no-input")
 SECONDS = 3600  # limit of one test run
 
 
@@ -60,13 +64,13 @@ def say(text: str) -> None:
 def run(command: Iterable[str | Path], seconds: float = SECONDS, **extra: str) -> int:
     """Run a command from the repository root with `extra` added to the environment; returns its exit code, 124 when time ran out."""
     words = [str(word) for word in command]
+    say(" ".join(words))
     start = time.monotonic()
     try:
         code = subprocess.run(words, cwd=ROOT, env=os.environ | extra, timeout=seconds, stdin=subprocess.DEVNULL).returncode
     except subprocess.TimeoutExpired:
-        say(f"stopped after {seconds:.0f} s: {' '.join(words)}")
         code = 124
-    say(f"exit {code} after {time.monotonic() - start:.0f} s: {' '.join(words)}")
+    say(f"{'stopped' if code == 124 else f'exit {code}'} after {time.monotonic() - start:.1f} s")
     return code
 
 
@@ -131,7 +135,7 @@ def environment(folder: Path, blender: Blender) -> Path:
     if run([base, "-m", "venv", "--clear", folder]):
         raise DevError(f"{base} could not make a virtual environment (on Debian: apt-get install python3-venv)")
     # Editable: the environment always runs the code of this checkout.
-    if run([python, "-m", "pip", "install", "-q", "--disable-pip-version-check", *requirements, "--editable", ROOT]):
+    if run([python, "-m", "pip", "install", *PIP, *requirements, "--editable", ROOT]):
         raise DevError("pip could not install the requirements: see its message above")
     if run([python, "-c", "import bpy, embreex, OpenEXR"], 300):
         raise DevError(
@@ -160,7 +164,7 @@ def packages(version: tuple[int, int]) -> Path:
     shutil.rmtree(folder, ignore_errors=True)
     # Any Python's pip can do this for another version, as long as it takes wheels only. Blender brings its own numpy.
     target = ["--target", folder, "--python-version", f"{version[0]}.{version[1]}", "--only-binary", ":all:"]
-    pip = [sys.executable, "-m", "pip", "install", "-q", "--disable-pip-version-check", *target]
+    pip = [sys.executable, "-m", "pip", "install", *PIP, *target]
     if run([*pip, wanted[0]]) or run([*pip, "--no-deps", *wanted[1:]]):
         raise DevError("pip could not fetch the packages: see its message above")
     (folder / "requirements.stamp").write_text(stamp, encoding="utf-8")
@@ -192,23 +196,25 @@ def fetch_wheels() -> None:
 
 def download(name: str, folder: Path) -> None:
     """Fetch the one wheel called `name` by pip, which knows the package index of this machine; raises DevError."""
-    project_name, version, tag, _, platforms = name.removesuffix(".whl").split("-")
-    command = [sys.executable, "-m", "pip", "download", "-q", "--disable-pip-version-check", "--no-deps", "--only-binary", ":all:"]
-    command += ["--python-version", f"{tag[2]}.{tag[3:]}", "--platform", platforms.split(".")[-1], "--dest", str(folder)]
+    project_name, version, tag, _, systems = name.removesuffix(".whl").split("-")
+    command = [sys.executable, "-m", "pip", "download", *PIP, "--no-deps", "--only-binary", ":all:"]
+    command += ["--python-version", f"{tag[2]}.{tag[3:]}", "--platform", systems.split(".")[-1], "--dest", str(folder)]
     if run([*command, f"{project_name}=={version}"], 900) or not (folder / name).is_file():
         raise DevError(f"pip did not bring {name}: see its message above, or correct wheels.toml")
 
 
-def build(python: Path) -> list[Path]:
-    """Validate the sources, build one zip a platform into dist/, validate each; returns their paths. Raises DevError."""
+def build(python: Path, dist: Path) -> list[Path]:
+    """Validate the sources, build one zip a platform into the folder `dist`, validate each; returns their paths. Raises DevError.
+
+    `python` has the bpy wheel.
+    """
     fetch_wheels()
     # Blender's own builder is a plain script inside the wheel; it needs no window and no Blender process.
     where = "import importlib.util; print(importlib.util.find_spec('bpy').origin)"
     wheel = Path(subprocess.run([str(python), "-c", where], capture_output=True, text=True, check=True).stdout.strip()).parent
     tool = [python, next(wheel.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py"))]
-    dist = ROOT / "dist"
     shutil.rmtree(dist, ignore_errors=True)
-    dist.mkdir()
+    dist.mkdir(parents=True)
     if run([*tool, "validate", ROOT], 300):
         raise DevError("blender_manifest.toml is not valid: see the message above")
     if run([*tool, "build", "--split-platforms", "--source-dir", ROOT, "--output-dir", dist], 600):
@@ -218,6 +224,16 @@ def build(python: Path) -> list[Path]:
         if run([*tool, "validate", path], 300):
             raise DevError(f"{path.name} is not valid: see the message above")
     return zips
+
+
+def own_zip(dist: Path) -> Path:
+    """The zip in `dist` that fits the machine this runs on; raises DevError when it was not built."""
+    system = {"win32": "windows", "darwin": "macos"}.get(sys.platform, "linux")
+    machine = {"arm64": "arm64", "aarch64": "arm64"}.get(platform.machine().lower(), "x64")
+    found = sorted(dist.glob(f"*-{system}_{machine}.zip"))
+    if len(found) != 1:
+        raise DevError(f"{dist} holds {len(found)} zips for {system}-{machine}: run `python dev.py build`")
+    return found[0]
 
 
 # Commands
@@ -250,6 +266,27 @@ def matrix(names: list[str]) -> int:
     return int(any(results.values()))
 
 
+def in_blender(program: str, arguments: list[str]) -> int:
+    """Install the built zip into an empty user folder of a real Blender and run pytest inside it; returns the exit code."""
+    ask = "import sys, importlib.util as u; print('PYTHON', *sys.version_info[:2], 'numpy' if u.find_spec('numpy') else 'bare')"
+    command = [program, "-b", "--factory-startup", "--python-expr", ask]
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=600, stdin=subprocess.DEVNULL)
+    words = next((line.split() for line in answer.stdout.splitlines() if line.startswith("PYTHON ")), None)
+    if words is None:
+        raise DevError(f"{program} did not run: {answer.stderr.strip() or answer.stdout.strip()}")
+    if words[3] == "bare":
+        raise DevError(f"{program} has no numpy, which Blender itself ships: install it (on Debian: apt-get install python3-numpy)")
+    folder = packages((int(words[1]), int(words[2])))
+    package = own_zip(ROOT / "dist")
+    with tempfile.TemporaryDirectory(prefix="adjoint_gi_user_") as user:
+        extra = {"BLENDER_USER_RESOURCES": user, "ADJOINT_GI_TEST_PACKAGES": str(folder), "ADJOINT_GI_DIST": str(package.parent)}
+        install = ["--command", "extension", "install-file", "-r", "user_default", "--enable", package]
+        if run([program, "--factory-startup", *install], 600, **extra):
+            raise DevError(f"{package.name} could not be installed: see the message above")
+        start = [program, "-b", "--factory-startup", "--python-exit-code", "1", "--python", "tests/run.py", "--"]
+        return run([*start, *(arguments or ["tests/blender", "tests/package"])], ADJOINT_GI_EXTENSION="installed", **extra)
+
+
 def main(arguments: list[str]) -> int:
     """Carry out one command; returns the exit code."""
     command, rest = (arguments[0], arguments[1:]) if arguments else ("help", [])
@@ -259,11 +296,13 @@ def main(arguments: list[str]) -> int:
     if command == "test":
         return test(rest)
     if command == "build":
-        for path in build(main_environment()):
+        for path in build(main_environment(), ROOT / "dist"):
             print(path.relative_to(ROOT))
         return 0
     if command == "matrix":
         return matrix(rest)
+    if command == "blender" and rest:
+        return in_blender(rest[0], rest[1:])
     if command == "packages":
         version = tuple(int(n) for n in rest[0].split(".")) if rest else sys.version_info[:2]
         print(packages(version))
