@@ -1,0 +1,150 @@
+"""Every lobe: `sample` follows its pdf (chi-square), energy is not made, reciprocity holds, delta lobes are exact."""
+
+import numpy as np
+import pytest
+
+from adjgi.adjoint_gi.core import bsdf, microfacet
+from adjgi.adjoint_gi.core.builder import SceneBuilder
+from adjgi.adjoint_gi.core.scene import Color, Lobe, Material
+
+C = Color.of
+ROUGH = {
+    "diffuse": [Lobe("diffuse", C(0.5))],
+    "glossy": [Lobe("glossy", C(0.9), 0.5)],
+    "metallic": [Lobe("metallic", C(0.9, 0.6, 0.2), 0.4)],
+    "coated": [Lobe("diffuse", C(0.8)), Lobe("specular", C(1), 0.4, 1.45)],
+    "glass": [Lobe("glass", C(1), 0.5, 1.5)],
+    "refraction": [Lobe("refraction", C(0.9), 0.4, 1.5)],
+    "mix": [Lobe("diffuse", C(0.3)), Lobe("glossy", C(0.3), 0.6), Lobe("glass", C(0.3), 0.5, 1.3)],
+}
+CASES = [(name, mu, side) for name in ROUGH for mu in (0.9, 0.4) for side in (1.0, -1.0)]
+ALPHA = 1e-3
+
+
+def lobes_at(lobes, wo, side=1.0):
+    b = SceneBuilder()
+    b.quad("Quad", (0, 0, 0), (1, 0, 0), (0, 1, 0), Material("M", tuple(lobes)))
+    table = bsdf.BsdfTable(b.build())
+    n = len(wo)
+    u = np.full(n, 0.2, np.float32)
+    up = np.tile(np.float32([0, 0, 1]), (n, 1))
+    return table.at(np.zeros(n, np.int32), u, u, up, np.full(n, side, np.float32), np.asarray(wo, np.float32))
+
+
+def view(mu, n):
+    return np.tile(np.float32([np.sqrt(1 - mu * mu), 0, mu]), (n, 1))
+
+
+def chi_square(mu, lobes, side, rng, n=400_000, rows=24, cols=24, sub=6):
+    """p-value of sampled directions against the integrated density, cells with few expected counts pooled."""
+    drawn = bsdf.sample(lobes_at(lobes, view(mu, n), side), rng)
+    ok = drawn.pdf_w > 0
+    w = drawn.wi[ok]
+    i = np.clip(((w[:, 2] + 1) / 2 * rows).astype(int), 0, rows - 1)
+    j = np.clip(((np.arctan2(w[:, 1], w[:, 0]) / (2 * np.pi)) % 1 * cols).astype(int), 0, cols - 1)
+    seen = np.bincount(i * cols + j, minlength=rows * cols)
+    # Integrate the density over every cell by a fine midpoint grid.
+    z = 2 * (np.arange(rows * sub) + 0.5) / (rows * sub) - 1
+    phi = 2 * np.pi * (np.arange(cols * sub) + 0.5) / (cols * sub)
+    zz, pp = (a.ravel() for a in np.meshgrid(z, phi, indexing="ij"))
+    r = np.sqrt(1 - zz**2)
+    wi = np.stack([r * np.cos(pp), r * np.sin(pp), zz], 1).astype(np.float32)
+    _, pdf = bsdf.evaluate(lobes_at(lobes, view(mu, len(wi)), side), wi)
+    cell = 4 * np.pi / (rows * cols)
+    expected = pdf.reshape(rows, sub, cols, sub).mean(axis=(1, 3), dtype=np.float64).ravel() * cell * n
+    order = np.argsort(expected)
+    pooled = expected[order] < 50
+    keep = order[~pooled]
+    e = np.append(expected[keep], expected[order[pooled]].sum())
+    s = np.append(seen[keep], seen[order[pooled]].sum())
+    e, s = (e[:-1], s[:-1]) if e[-1] < 50 else (e, s)
+    statistic = ((s - e) ** 2 / e).sum()
+    k = len(e) - 1
+    # Wilson and Hilferty's normal form of chi-square, good for many degrees of freedom.
+    return ((statistic / k) ** (1 / 3) - (1 - 2 / (9 * k))) / np.sqrt(2 / (9 * k))
+
+
+@pytest.mark.parametrize(("name", "mu", "side"), CASES)
+def test_samples_follow_their_density(name, mu, side):
+    if name == "refraction" and side < 0 and mu < 0.7:
+        mu = 0.9  # beyond the critical angle nothing is transmitted
+    z = chi_square(mu, ROUGH[name], side, np.random.default_rng(7))
+    assert z < 4.4, f"{name}: chi-square is {z:.1f} standard deviations off"
+
+
+@pytest.mark.parametrize(("name", "mu", "side"), CASES)
+def test_albedo_by_sampling_equals_albedo_by_integration_and_makes_no_energy(name, mu, side):
+    n = 400_000
+    rng = np.random.default_rng(3)
+    drawn = bsdf.sample(lobes_at(ROUGH[name], view(mu, n), side), rng).weight.astype(np.float64)
+    z = rng.random(n) * 2 - 1
+    phi = rng.random(n) * 2 * np.pi
+    r = np.sqrt(1 - z * z)
+    wi = np.stack([r * np.cos(phi), r * np.sin(phi), z], 1).astype(np.float32)
+    uniform = bsdf.evaluate(lobes_at(ROUGH[name], view(mu, n), side), wi)[0].astype(np.float64) * 4 * np.pi
+    for c in range(3):
+        a, b = drawn[:, c], uniform[:, c]
+        assert abs(a.mean() - b.mean()) < 4.5 * np.sqrt(a.var() / n + b.var() / n) + 1e-4
+        assert a.mean() < 1 + 4 * np.sqrt(a.var() / n) + 1e-3
+    assert (drawn >= 0).all() and np.isfinite(drawn).all()
+
+
+@pytest.mark.parametrize("name", ["diffuse", "glossy", "metallic", "coated", "mix"])
+def test_reflection_is_reciprocal(name):
+    rng = np.random.default_rng(5)
+    w = rng.normal(size=(2, 5000, 3))
+    w[:, :, 2] = np.abs(w[:, :, 2]) + 0.05
+    a, b = (w / np.linalg.norm(w, axis=2, keepdims=True)).astype(np.float32)
+    forward = bsdf.evaluate(lobes_at(ROUGH[name], a), b)[0] / b[:, 2:]
+    back = bsdf.evaluate(lobes_at(ROUGH[name], b), a)[0] / a[:, 2:]
+    assert np.allclose(forward, back, rtol=2e-3, atol=1e-5)
+
+
+def test_refraction_is_reciprocal_in_basic_radiance():
+    rng = np.random.default_rng(6)
+    w = rng.normal(size=(2, 5000, 3))
+    w[0, :, 2] = np.abs(w[0, :, 2]) + 0.3
+    w[1, :, 2] = -np.abs(w[1, :, 2]) - 0.3
+    a, b = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in w)
+    flip = np.float32([1, 1, -1])
+    out = bsdf.evaluate(lobes_at(ROUGH["glass"], a, 1.0), b.astype(np.float32))[0] / np.abs(b[:, 2:])
+    # The same pair seen from the other side: the frame is turned over, so z changes sign.
+    back = bsdf.evaluate(lobes_at(ROUGH["glass"], b * flip, -1.0), (a * flip).astype(np.float32))[0] / np.abs(a[:, 2:])
+    # f(o, i) / n_i^2 is symmetric: with the index on the side of wi in the numerator the two differ by 1.5^2.
+    good = out[:, 0] > 1e-3
+    assert good.sum() > 100
+    assert np.allclose(out[good, 0], back[good, 0] * 1.5**2, rtol=5e-3)
+
+
+def test_mirror_and_glass_without_roughness_are_exact():
+    n = 200_000
+    wo = view(0.6, n)
+    rng = np.random.default_rng(1)
+    mirror = bsdf.sample(lobes_at([Lobe("glossy", C(0.9), 0.0)], wo), rng)
+    assert mirror.delta.all() and np.allclose(mirror.weight, 0.9, atol=1e-5)
+    assert np.allclose(mirror.wi, wo * [-1, -1, 1], atol=1e-5)
+    glass = bsdf.sample(lobes_at([Lobe("glass", C(1), 0.0, 1.5)], wo), rng)
+    share = microfacet.fresnel(np.float32([0.6]), np.float32([1.5]))[0]
+    reflected = (~glass.through).mean()
+    assert abs(reflected - share) < 4 * np.sqrt(share * (1 - share) / n)
+    assert np.allclose(np.linalg.norm(glass.wi[glass.through, :2], axis=1), 0.8 / 1.5, atol=1e-4)
+    assert np.allclose(glass.weight, 1, atol=1e-5)
+
+
+def test_total_reflection_inside_glass():
+    wo = view(0.3, 1000)
+    glass = bsdf.sample(lobes_at([Lobe("glass", C(1), 0.0, 1.5)], wo, side=-1.0), np.random.default_rng(1))
+    assert not glass.through.any() and np.allclose(glass.weight, 1, atol=1e-5)
+
+
+def test_transparent_goes_straight_on():
+    wo = view(0.5, 1000)
+    straight = bsdf.sample(lobes_at([Lobe("transparent", C(0.7))], wo), np.random.default_rng(1))
+    assert np.allclose(straight.wi, -wo, atol=1e-5) and np.allclose(straight.weight, 0.7, atol=1e-5)
+    assert straight.delta.all() and straight.through.all()
+
+
+@pytest.mark.parametrize(("degrees", "expected"), [(0, 0.0425800), (45, 0.0530452), (75, 0.2567153)])
+def test_fresnel_of_window_glass(degrees, expected):
+    value = microfacet.fresnel(np.float32([np.cos(np.radians(degrees))]), np.float32([1.52]))
+    assert value[0] == pytest.approx(expected, rel=1e-4)
