@@ -1,0 +1,336 @@
+"""Walking the depsgraph: which objects and instances count, what they are called, and their meshes placed in world space.
+
+An object counts when the given depsgraph evaluates it and it is not hidden in render, by itself or by all of its collections.
+Curves, texts, surfaces and metaballs need no conversion: the depsgraph lists the mesh they evaluate to as an instance of themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+
+from ..core.scene import ObjectArrays
+from .extract_mesh import LARGEST_COORDINATE, MeshArrays, read_mesh
+from .extract_notices import Notices
+
+NO_ID = 2**31 - 1  # fills the unused end of a persistent_id
+FACELESS = {"EMPTY", "CAMERA", "LIGHT", "LIGHT_PROBE", "SPEAKER", "ARMATURE", "LATTICE"}
+BECOMES_MESH = {"CURVE", "FONT", "SURFACE", "META"}
+
+
+@dataclass(eq=False)
+class Group:
+    """Instances that share mesh and materials."""
+
+    mesh: MeshArrays
+    materials: np.ndarray  # (ns,) int32: scene material of each slot, at least one
+    names: list[str] = field(default_factory=list)
+    sources: list[str] = field(default_factory=list)
+    uids: list[int] = field(default_factory=list)
+    instances: list[tuple[int, ...]] = field(default_factory=list)
+    matrices: list[tuple[float, ...]] = field(default_factory=list)
+
+
+@dataclass(eq=False)
+class LightInstance:
+    """A lamp as the depsgraph shows it."""
+
+    name: str
+    light: bpy.types.Light
+    matrix: np.ndarray  # (4, 4) float64
+
+
+class Walk:
+    """One pass over the instances of a depsgraph. `material_of` gives the index of a material, or of the default for None."""
+
+    def __init__(self, material_of: Callable[[bpy.types.Material | None], int], notices: Notices) -> None:
+        self._material_of = material_of
+        self._notices = notices
+        self._meshes: dict[int, MeshArrays | None] = {}
+        self._groups: dict[tuple[int, int], Group | None] = {}
+        self._hidden: dict[int, bool] = {}
+        self._names: set[str] = set()
+        self.lights: list[LightInstance] = []
+
+    @property
+    def groups(self) -> list[Group]:
+        """All groups with at least one instance, in the order of first appearance."""
+        return [g for g in self._groups.values() if g is not None and g.names]
+
+    def run(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Visit every object and instance once and copy what is needed of it."""
+        in_hidden_collections = _hidden_by_collections(depsgraph.view_layer)
+        for inst in depsgraph.object_instances:
+            obj = inst.object
+            original = obj.original
+            kind = obj.type
+            if self._skips(inst, obj, original, kind, in_hidden_collections):
+                continue
+            if kind == "MESH":
+                self._visit_mesh(inst, obj, original)
+            elif kind == "LIGHT":
+                self._visit_light(inst, obj, original)
+            elif kind not in FACELESS and kind not in BECOMES_MESH:
+                self._notices.add(
+                    original.name, f"is a {_words(kind)}, which has no faces, and is left out", "Convert it to a mesh", "info"
+                )
+        for name in self._unmeshed(depsgraph):
+            self._notices.add(name, "gives no faces and is left out", "Give the curve a bevel or an extrusion", "info")
+
+    def _skips(
+        self,
+        inst: bpy.types.DepsgraphObjectInstance,
+        obj: bpy.types.Object,
+        original: bpy.types.Object,
+        kind: str,
+        in_hidden_collections: set[int],
+    ) -> bool:
+        """Whether rendering would not show it."""
+        pointer = original.as_pointer()
+        hidden = self._hidden.get(pointer)
+        if hidden is None:
+            hidden = original.hide_render
+            if kind not in ("CAMERA", "ARMATURE", "LATTICE", "SPEAKER", "LIGHT_PROBE") and (
+                hidden or (not inst.is_instance and pointer in in_hidden_collections)
+            ):
+                self._notices.add(original.name, "is hidden in render and is left out", "Enable it in renders if it should count", "info")
+            self._hidden[pointer] = hidden
+        if hidden:
+            return True
+        if inst.is_instance:
+            return False
+        if pointer in in_hidden_collections:
+            return True
+        # The object that makes instances can be told not to show itself.
+        return original.is_instancer and kind != "EMPTY" and not original.show_instancer_for_render
+
+    def _visit_mesh(self, inst: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, original: bpy.types.Object) -> None:
+        matrix = [x for row in inst.matrix_world for x in row]
+        name, source, ids = self._identify(inst, original)
+        determinant = _determinant(matrix)
+        if determinant is None or abs(determinant) < 1e-30 or _squashed(matrix, determinant):
+            reason = "has a scale of zero or a matrix that is not a number and is left out"
+            self._notices.add(name, reason, "Give it a scale other than zero on every axis")
+            return
+        group = self._group(obj, original, determinant < 0.0, source)
+        if group is None:
+            return
+        group.names.append(name)
+        group.sources.append(source)
+        group.uids.append(original.session_uid)
+        group.instances.append(ids)
+        group.matrices.append(tuple(matrix))
+
+    def _visit_light(self, inst: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, original: bpy.types.Object) -> None:
+        matrix = np.array([x for row in inst.matrix_world for x in row], np.float64).reshape(4, 4)
+        name, _, _ = self._identify(inst, original)
+        if not np.isfinite(matrix).all():
+            self._notices.add(name, "has a matrix that is not a number and is left out", "Clear its transform")
+            return
+        self.lights.append(LightInstance(name, obj.data, matrix))
+
+    def _identify(self, inst: bpy.types.DepsgraphObjectInstance, original: bpy.types.Object) -> tuple[str, str, tuple[int, ...]]:
+        """Name, name of the owner of the mesh, instance path.
+
+        An object has its own name. An instance is "Source[Instancer.2.0]": who makes it, and Blender's persistent id.
+        A clash (the same name in two libraries) is settled by the order of the depsgraph, which is stable.
+        """
+        ids: tuple[int, ...] = ()
+        name = original.name
+        if inst.is_instance:
+            parent = inst.parent.original if inst.parent else None
+            if not (parent is not None and parent.as_pointer() == original.as_pointer() and original.type != "MESH"):
+                ids = tuple(i for i in inst.persistent_id if i != NO_ID)
+                maker = parent.name if parent is not None else ""
+                name = f"{name}[{'.'.join([maker, *map(str, ids)])}]"
+        unique = name
+        count = 1
+        while unique in self._names:
+            count += 1
+            unique = f"{name}#{count}"
+        self._names.add(unique)
+        return unique, original.name, ids
+
+    def _group(self, obj: bpy.types.Object, original: bpy.types.Object, mirrored: bool, name: str) -> Group | None:
+        """The group of this mesh, object (slots may be linked to it) and handedness; None when the mesh has no faces."""
+        mesh = obj.data
+        pointer = mesh.as_pointer()
+        key = (original.as_pointer() * 2 + mirrored, pointer)
+        if key in self._groups:
+            return self._groups[key]
+        if pointer not in self._meshes:
+            self._meshes[pointer] = self._read(obj, mesh, name)
+        arrays = self._meshes[pointer]
+        if arrays is None:
+            self._groups[key] = None
+            return None
+        if mirrored:
+            arrays = self._mirrored(pointer, arrays)
+        group = Group(arrays, self._slots(obj, mesh))
+        self._groups[key] = group
+        return group
+
+    def _read(self, obj: bpy.types.Object, mesh: bpy.types.Mesh, name: str) -> MeshArrays | None:
+        """Copy a mesh. In edit mode its layers cannot be read (their length is 0), but those of a temporary copy can."""
+        if not mesh.is_editmode:
+            return read_mesh(mesh, name, self._notices)
+        try:
+            return read_mesh(obj.to_mesh(), name, self._notices)
+        finally:
+            obj.to_mesh_clear()
+
+    def _mirrored(self, pointer: int, arrays: MeshArrays) -> MeshArrays:
+        """The mirrored copy of a mesh, made once."""
+        if -pointer not in self._meshes:
+            self._meshes[-pointer] = arrays.mirrored()
+        found = self._meshes[-pointer]
+        assert found is not None
+        return found
+
+    def _slots(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> np.ndarray:
+        """(ns,) int32 material index of each slot: the object's where the slot is linked to the object, else the mesh's."""
+        materials = list(mesh.materials)
+        for i, slot in enumerate(obj.material_slots):
+            if slot.link == "OBJECT" and i < len(materials):
+                materials[i] = slot.material
+        return np.array([self._material_of(m) for m in materials or [None]], np.int32)
+
+    def _unmeshed(self, depsgraph: bpy.types.Depsgraph) -> list[str]:
+        """Curve-like objects of the view layer that evaluated to no mesh at all."""
+        made = {s for g in self._groups.values() if g for s in g.sources}
+        out = []
+        for obj in depsgraph.view_layer.objects:
+            if obj.type in BECOMES_MESH and obj.name not in made and self._hidden.get(obj.as_pointer()) is False and obj.type != "META":
+                out.append(obj.name)
+        return out
+
+
+@dataclass(eq=False)
+class Placed:
+    """All groups in world space, in the layout of `SceneArrays`."""
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    corner_normals: np.ndarray
+    smooth: np.ndarray
+    material: np.ndarray
+    object: np.ndarray
+    polygon: np.ndarray
+    corners: np.ndarray
+    objects: tuple[ObjectArrays, ...]
+
+
+def place(groups: list[Group], notices: Notices) -> Placed:
+    """Transform every instance to world space and join the arrays; per-mesh UV and colour arrays are shared by instances."""
+    objects: list[ObjectArrays] = []
+    parts: list[tuple[np.ndarray, ...]] = []
+    vertex_base = triangle_base = 0
+    for group in groups:
+        mesh = group.mesh
+        matrices = np.array(group.matrices, np.float64).reshape(-1, 4, 4)
+        vertices = mesh.vertices @ np.swapaxes(matrices[:, :3, :3], 1, 2) + matrices[:, None, :3, 3]
+        used = vertices[:, np.unique(mesh.triangles)] if len(matrices) == 1 else vertices
+        near = (np.abs(used) <= LARGEST_COORDINATE).all(axis=(1, 2))
+        for i in np.flatnonzero(~near):
+            notices.add(group.names[i], f"lies further out than {LARGEST_COORDINATE:.0e} m and is left out", "Move it closer to the origin")
+        kept = np.flatnonzero(near)
+        k, nv, nt = len(kept), len(mesh.vertices), len(mesh.triangles)
+        if not k:
+            continue
+        shift = vertex_base + nv * np.arange(k)[:, None, None]
+        slots = group.materials[np.clip(mesh.slot, 0, len(group.materials) - 1)]
+        first = len(objects)
+        parts.append(
+            (
+                vertices[kept].reshape(-1, 3),
+                (mesh.triangles[None] + shift).astype(np.int32).reshape(-1, 3),
+                _world_normals(mesh.normals, matrices[kept]),
+                np.tile(mesh.smooth, k),
+                np.tile(slots, k),
+                np.repeat(np.arange(first, first + k, dtype=np.int32), nt),
+                np.tile(mesh.polygon, k),
+                np.tile(mesh.corners, (k, 1)),
+            )
+        )
+        for j, i in enumerate(kept.tolist()):
+            objects.append(
+                ObjectArrays(
+                    name=group.names[i],
+                    source=group.sources[i],
+                    uid=group.uids[i],
+                    instance=group.instances[i],
+                    first_triangle=triangle_base + j * nt,
+                    triangle_count=nt,
+                    first_vertex=vertex_base + j * nv,
+                    vertex_count=nv,
+                    corner_count=mesh.corner_count,
+                    polygon_count=mesh.polygon_count,
+                    uvs=mesh.uvs,
+                    render_uv=mesh.render_uv,
+                    colors=mesh.colors,
+                )
+            )
+        vertex_base += nv * k
+        triangle_base += nt * k
+    empty = (
+        np.zeros((0, 3)),
+        np.zeros((0, 3), np.int32),
+        np.zeros((0, 3, 3), np.float32),
+        np.zeros(0, bool),
+        np.zeros(0, np.int32),
+        np.zeros(0, np.int32),
+        np.zeros(0, np.int32),
+        np.zeros((0, 3), np.int32),
+    )
+    columns = [np.concatenate([e, *(p[c] for p in parts)]) for c, e in enumerate(empty)]
+    return Placed(*columns, tuple(objects))
+
+
+def _world_normals(normals: np.ndarray, matrices: np.ndarray) -> np.ndarray:
+    """Object-space unit normals (nt, 3, 3) by the inverse transpose of each matrix (k, 4, 4) -> (k * nt, 3, 3) float32 unit.
+
+    The inverse transpose maps an outward normal to an outward normal for mirrored matrices too.
+    """
+    inverse = np.linalg.inv(matrices[:, :3, :3])
+    # Only the direction counts: scaling keeps float32 in range for tiny and huge matrices.
+    inverse /= np.abs(inverse).max(axis=(1, 2), keepdims=True)
+    world = (normals.reshape(-1, 3) @ inverse.astype(np.float32)).reshape(-1, 3, 3)
+    length = np.linalg.norm(world, axis=2, keepdims=True)
+    return world / np.maximum(length, np.float32(1e-30))
+
+
+def _determinant(m: list[float]) -> float | None:
+    """Determinant of the upper 3 x 3 of a flat 4 x 4 matrix; None when a coefficient is not a number."""
+    total = sum(m)
+    if total - total != 0.0:
+        return None
+    return m[0] * (m[5] * m[10] - m[6] * m[9]) - m[1] * (m[4] * m[10] - m[6] * m[8]) + m[2] * (m[4] * m[9] - m[5] * m[8])
+
+
+def _squashed(m: list[float], determinant: float) -> bool:
+    """Whether a matrix is flat within float32 precision: its volume is nothing beside the cube of its longest axis."""
+    longest = max(m[i] * m[i] + m[i + 4] * m[i + 4] + m[i + 8] * m[i + 8] for i in range(3))
+    return abs(determinant) < 1e-12 * longest**1.5
+
+
+def _hidden_by_collections(view_layer: bpy.types.ViewLayer) -> set[int]:
+    """Pointers of objects all of whose collections in this view layer are hidden in render."""
+    shown: set[int] = set()
+    hidden: set[int] = set()
+
+    def visit(layer: bpy.types.LayerCollection, off: bool) -> None:
+        off = off or layer.collection.hide_render
+        if not layer.exclude:
+            (hidden if off else shown).update(o.as_pointer() for o in layer.collection.objects)
+        for child in layer.children:
+            visit(child, off)
+
+    visit(view_layer.layer_collection, False)
+    return hidden - shown
+
+
+def _words(kind: str) -> str:
+    return kind.lower().replace("_", " ")
