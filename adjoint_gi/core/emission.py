@@ -24,13 +24,14 @@ class Particles:
     """Particles on their way.
 
     origin, direction (n, 3) float32, recentred and unit; weight (n, 3) float32 power of each colour, W;
-    light (n,) int32 index into `Emission.names`.
+    light (n,) int32 index into `Emission.names`; dark (n,) float32: how far each lights nothing (`PointEmission`), metres.
     """
 
     origin: np.ndarray
     direction: np.ndarray
     weight: np.ndarray
     light: np.ndarray
+    dark: np.ndarray
 
 
 class Emission:
@@ -78,7 +79,7 @@ class Emission:
         """
         if self.is_dark or n == 0:
             none = np.zeros((0, 3), np.float32)
-            return Particles(none, none, none, np.zeros(0, np.int32))
+            return Particles(none, none, none, np.zeros(0, np.int32), np.zeros(0, np.float32))
         # Step 1: the cell of every particle, ascending because the jittered points are.
         point = (np.arange(n) + rng.random(n)) / n
         cell = np.minimum(np.searchsorted(self._cumulative, point, side="right"), self._last_lit)
@@ -86,15 +87,18 @@ class Emission:
         square = (np.arange(1, n + 1)[:, None] * STEPS + rng.random(4)) % 1.0
         # Step 3: every source turns its stretch into rays and says the power its cell would have if it shone everywhere like here.
         origin, direction, weight = (np.empty((n, 3), np.float32) for _ in range(3))
-        light = np.empty(n, np.int32)
+        light, dark = np.empty(n, np.int32), np.zeros(n, np.float32)
         bound = np.searchsorted(cell, self._first)
         for index, source in enumerate(self._sources):
             part = slice(bound[index], bound[index + 1])
             if part.stop > part.start:
-                origin[part], direction[part], weight[part] = source.draw(cell[part] - self._first[index], square[part], rng)
+                rays = source.draw(cell[part] - self._first[index], square[part], rng)
+                origin[part], direction[part], weight[part] = rays.origin, rays.direction, rays.flux
                 light[part] = index
+                if rays.dark is not None:
+                    dark[part] = rays.dark
         weight /= (n * self._probability[cell])[:, None].astype(np.float32)
-        return Particles(origin, direction, weight, light)
+        return Particles(origin, direction, weight, light, dark)
 
 
 def bounding_radius(world: World) -> float:

@@ -4,12 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from .scene import Light, Rgb
 
-Rays = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """Rays of a source: origin, direction (n, 3); flux (n, 3), the power of the source if all of it shone like this ray, W.
+
+    dark (n,) or None: how far the ray lights nothing, metres.
+    """
+
+    origin: np.ndarray
+    direction: np.ndarray
+    flux: np.ndarray
+    dark: np.ndarray | None = None
 
 
 def lamp_source(light: Light, center: np.ndarray, radius: float) -> LampEmission:
@@ -37,42 +49,93 @@ class LampEmission:
         """What the lamp's `color` is multiplied by to give its power."""
         raise TypeError(f"{type(self).__name__} does not define solid()")
 
-    def rays(self, square: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Origins and unit directions (n, 3) float64, from points (n, 4) of the unit cube."""
-        raise TypeError(f"{type(self).__name__} does not define rays()")
-
     def draw(self, cell: np.ndarray, square: np.ndarray, rng: np.random.Generator) -> Rays:
-        """Origins, directions and the lamp's power, (n, 3) each."""
-        origin, direction = self.rays(square, rng)
-        return origin, direction, np.broadcast_to(self.flux, (len(cell), 3))
+        """Rays from points (n, 4) of the unit cube; every one has the lamp's power."""
+        raise TypeError(f"{type(self).__name__} does not define draw()")
+
+    def _rays(self, origin: np.ndarray, direction: np.ndarray, dark: np.ndarray | None = None) -> Rays:
+        return Rays(origin, direction, np.broadcast_to(self.flux, direction.shape), dark)
 
 
 class PointEmission(LampEmission):
-    """A point or spot lamp. With a radius it is a sphere whose every point has the same radiance in one direction."""
+    """A point or spot lamp. With a radius it is a sphere whose every point has the same radiance in one direction.
+
+    With soft falloff it is a disk that faces each receiver. Of the rays in one direction, those that pass the centre at distance b
+    then light only what is farther than b^2 / sqrt(radius^2 - b^2): from nearer by, they miss the disk.
+    """
 
     def solid(self) -> float:
         """Solid angle, in a spot's cone weighted by its falloff, sr."""
         if self.light.kind == "point":
             return 4 * math.pi
-        # The falloff is a smooth step over the share `blend` of the cone's range of cosines; its mean there is a half.
-        return 2 * math.pi * (1 - math.cos(self.light.spot_angle / 2)) * (1 - self.light.spot_blend / 2)
+        if self._is_round:
+            # The falloff is a smooth step over the share `blend` of the cone's range of cosines; its mean there is a half.
+            return 2 * math.pi * (1 - self._edge) * (1 - self.light.spot_blend / 2)
+        # An elliptical cone is a round one, stretched: a rule of Gauss in each half of the falloff, equal steps around.
+        blend = self._edge + (1 - self._edge) * self.light.spot_blend
+        x, w = np.polynomial.legendre.leggauss(64)
+        parts = [(self._edge, blend), (blend, 1.0)]
+        c = np.concatenate([a + (b - a) * (x + 1) / 2 for a, b in parts])
+        w = np.concatenate([(b - a) * w / 2 for a, b in parts])
+        phi = 2 * math.pi * (np.arange(256) + 0.5) / 256
+        r = np.sqrt(1 - c * c)
+        local = np.stack([np.outer(r, np.cos(phi)), np.outer(r, np.sin(phi)), np.repeat(c[:, None], 256, 1)], -1)
+        density = spot_falloff(local[..., 2], self.light) * self._stretch(local)
+        return float(2 * math.pi * (w @ density.mean(axis=1)))
 
-    def rays(self, square: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Direction by intensity; the origin is uniform on the disk that the sphere shows in that direction."""
+    @property
+    def _edge(self) -> float:
+        return math.cos(self.light.spot_angle / 2)
+
+    @property
+    def _scale(self) -> np.ndarray:
+        return np.array([*np.maximum(self.light.spot_scale, 1e-6), 1.0])
+
+    @property
+    def _is_round(self) -> bool:
+        return tuple(self.light.spot_scale) == (1.0, 1.0)
+
+    def _stretch(self, local: np.ndarray) -> np.ndarray:
+        """Solid angle after stretching a direction of the round cone, over that before."""
+        scale = self._scale
+        return scale.prod() / ((local * scale) ** 2).sum(axis=-1) ** 1.5
+
+    def draw(self, cell: np.ndarray, square: np.ndarray, rng: np.random.Generator) -> Rays:
+        """Direction by intensity; the origin is uniform on the disk that the lamp shows in that direction."""
         if self.light.kind == "point":
             direction = sphere_directions(square[:, 0], square[:, 1])
         else:
-            low = math.cos(self.light.spot_angle / 2)
-            local = cone_directions(low, square[:, 0], square[:, 1])
-            reject(local, lambda d: spot_falloff(d[:, 2], self.light), lambda s, t: cone_directions(low, s, t), rng)
-            direction = -local @ self.frame
-        origin = np.broadcast_to(self.position, direction.shape)
-        if self.light.radius > 0:
-            # The point where a line through the disk leaves the sphere.
-            x, y = disk(square[:, 2], square[:, 3])
-            height = np.sqrt(np.maximum(0, 1 - x * x - y * y))
-            origin = origin + self.light.radius * (across(direction, x, y) + height[:, None] * direction)
-        return origin, direction
+            direction = -self._spot_directions(square, rng) @ self.frame
+        radius = self.light.radius
+        if radius <= 0:
+            return self._rays(np.broadcast_to(self.position, direction.shape), direction)
+        x, y = disk(square[:, 2], square[:, 3])
+        offset = radius * across(direction, x, y)
+        b2 = x * x + y * y
+        height = np.sqrt(np.maximum(0, 1 - b2))
+        if self.light.soft_falloff:
+            return self._rays(self.position + offset, direction, radius * b2 / np.maximum(height, 1e-9))
+        # The point where the line leaves the sphere.
+        return self._rays(self.position + offset + radius * height[:, None] * direction, direction)
+
+    def _spot_directions(self, square: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        edge = self._edge
+        local = cone_directions(edge, square[:, 0], square[:, 1])
+
+        if self._is_round:
+            reject(local, lambda d: spot_falloff(d[:, 2], self.light), lambda s, t: cone_directions(edge, s, t), rng)
+            return local
+        # The stretch is largest on the axis or at the rim, along the shorter axis of the ellipse.
+        rim = np.array([[0, 0, 1], [math.sqrt(1 - edge**2), 0, edge], [0, math.sqrt(1 - edge**2), edge]])
+        most = self._stretch(rim).max()
+        reject(
+            local,
+            lambda d: spot_falloff(d[:, 2], self.light) * self._stretch(d) / most,
+            lambda s, t: cone_directions(edge, s, t),
+            rng,
+        )
+        local = local * self._scale
+        return local / np.linalg.norm(local, axis=1)[:, None]
 
 
 class AreaEmission(LampEmission):
@@ -83,7 +146,7 @@ class AreaEmission(LampEmission):
         area = self.light.size_x * self.light.size_y
         return math.pi * area * (math.pi / 4 if self.light.shape == "ELLIPSE" else 1)
 
-    def rays(self, square: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    def draw(self, cell: np.ndarray, square: np.ndarray, rng: np.random.Generator) -> Rays:
         """A uniform point; the direction by cosine and spread."""
         if self.light.shape == "ELLIPSE":
             x, y = (0.5 * a for a in disk(square[:, 0], square[:, 1]))
@@ -97,7 +160,7 @@ class AreaEmission(LampEmission):
         local = lambert_cone(widest, square[:, 2], square[:, 3])
         if self.light.spread < math.pi and widest > 0:
             reject(local, lambda d: spread_falloff(d[:, 2], self.light), lambda s, t: lambert_cone(widest, s, t), rng)
-        return origin, -local @ self.frame
+        return self._rays(origin, -local @ self.frame)
 
 
 class SunEmission(LampEmission):
@@ -108,11 +171,11 @@ class SunEmission(LampEmission):
         # Radiance is E / (pi sin^2 h) over the disk's solid angle 2 pi (1 - cos h), with h half its angle.
         return math.pi * self.scene_radius**2 * 2 / (1 + math.cos(self.light.angle / 2))
 
-    def rays(self, square: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    def draw(self, cell: np.ndarray, square: np.ndarray, rng: np.random.Generator) -> Rays:
         """A uniform direction of the disk; the origin on a disk that covers the scene."""
         local = cone_directions(math.cos(self.light.angle / 2), square[:, 0], square[:, 1])
         direction = -local @ self.frame
-        return from_outside(direction, self.scene_radius, square[:, 2:]), direction
+        return self._rays(from_outside(direction, self.scene_radius, square[:, 2:]), direction)
 
 
 class Background:
@@ -127,9 +190,9 @@ class Background:
         self.cells = np.array([self.power])
 
     def draw(self, cell: np.ndarray, square: np.ndarray, rng: np.random.Generator) -> Rays:
-        """Origins, directions and the power that enters the sphere around the scene, (n, 3) each."""
+        """Rays with the power that enters the sphere around the scene."""
         direction = sphere_directions(square[:, 0], square[:, 1])
-        return from_outside(direction, self.scene_radius, square[:, 2:]), direction, np.broadcast_to(self.flux, (len(cell), 3))
+        return Rays(from_outside(direction, self.scene_radius, square[:, 2:]), direction, np.broadcast_to(self.flux, direction.shape))
 
 
 def spot_falloff(cosine: np.ndarray, light: Light) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .lamp_emission import Rays
 from .world import World
 
 # Textured triangles are divided into about this many cells altogether, so that bright texels get their share of particles.
@@ -86,8 +87,8 @@ class MeshEmission:
         """(n, 3) float32 emitted radiance."""
         return self.world.shading.emission(triangle, u.astype(np.float32), v.astype(np.float32))
 
-    def draw(self, cell: np.ndarray, square: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Origins, directions and 2 pi L A with the exact radiance L at the origin, (n, 3) each."""
+    def draw(self, cell: np.ndarray, square: np.ndarray, rng: np.random.Generator) -> Rays:
+        """Rays whose flux is 2 pi L A with the exact radiance L at the origin."""
         # Step 1: a uniform point of the small triangle.
         root = np.sqrt(square[:, 0])
         a, b = 1 - root, square[:, 1] * root
@@ -100,7 +101,7 @@ class MeshEmission:
         # Step 3: cosine distributed about the normal.
         direction = cosine_directions(normal, square[:, 2] * 2 % 1.0, square[:, 3])
         origin = surface.position + np.float32(self.world.offset) * normal
-        return origin, direction, self.emission_at(self.triangle[cell], u, v) * self.full[cell, None]
+        return Rays(origin, direction, self.emission_at(self.triangle[cell], u, v) * self.full[cell, None])
 
 
 def cosine_directions(normal: np.ndarray, s: np.ndarray, t: np.ndarray) -> np.ndarray:

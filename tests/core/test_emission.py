@@ -30,11 +30,25 @@ def lamp(kind, tilted=0.0, **options):
     return Light("Lamp", kind, COLOR, (0.0, 0.0, 1.0), **tilt(tilted), **options)
 
 
+def flat_spot(n=2000):
+    """Solid angle of the flattened spot below, weighted by its falloff, by a sum over all directions."""
+    c = (np.arange(n) + 0.5) / n
+    phi = 2 * math.pi * (np.arange(720) + 0.5) / 720
+    r = np.sqrt(1 - c * c)
+    x, y = np.outer(r, np.cos(phi)) / 0.5, np.outer(r, np.sin(phi)) / 1.5
+    edge = math.cos(math.radians(50))
+    t = np.clip((c[:, None] / np.sqrt(x * x + y * y + c[:, None] ** 2) - edge) / ((1 - edge) * 0.4), 0, 1)
+    return 2 * math.pi * (t * t * (3 - 2 * t)).mean()
+
+
+FLAT = flat_spot()
 LAMPS = {
     "point": (lamp("point"), 4 * math.pi),
     "sphere": (lamp("point", radius=0.4), 4 * math.pi),
     "spot": (lamp("spot", spot_angle=math.radians(80)), 2 * math.pi * (1 - math.cos(math.radians(40)))),
     "blended spot": (lamp("spot", spot_angle=math.radians(120), spot_blend=0.6, radius=0.2), 2 * math.pi * 0.5 * 0.7),
+    "soft point": (lamp("point", radius=0.4, soft_falloff=True), 4 * math.pi),
+    "flat spot": (lamp("spot", spot_angle=math.radians(100), spot_blend=0.4, spot_scale=(0.5, 1.5)), FLAT),
     "rectangle": (lamp("area", size_x=2.0, size_y=0.5), math.pi),
     "ellipse": (lamp("area", shape="ELLIPSE", size_x=2.0, size_y=0.5), math.pi * math.pi / 4),
     "spread": (lamp("area", size_x=1.0, size_y=1.0, spread=math.radians(60)), math.pi),
@@ -106,7 +120,7 @@ def expected_share(light, low, high):
     return density.mean() * (high - low)
 
 
-@pytest.mark.parametrize("name", [n for n in LAMPS if n != "sun"])
+@pytest.mark.parametrize("name", [n for n in LAMPS if n not in ("sun", "flat spot")])
 def test_directions_follow_the_lamp(name):
     """Pearson chi-square of the cosine to a tilted axis and the angle around it."""
     light = dataclasses.replace(LAMPS[name][0], **tilt(0.7))
@@ -176,6 +190,43 @@ def test_power_on_a_disk_under_a_point_is_intensity_times_solid_angle(name, radi
         expected = COLOR[0] * 2 * math.pi * expected_share(light, edge, 1)
     assert error < 0.003 * expected
     assert abs(mean - expected) < Z * error + 1e-4 * expected
+
+
+def test_soft_falloff_is_a_disk_that_faces_each_receiver():
+    """On a sphere of radius R around it, where all receivers face it, irradiance is intensity / (R^2 + r^2)."""
+    light = Light("Lamp", "point", COLOR, (0.1, 0.2, 1.0), radius=0.4, soft_falloff=True)
+    world = target(light)
+
+    def inside(p):
+        o = p.origin + world.center - np.array(light.position)
+        b = np.einsum("ij,ij->i", o, p.direction)
+        t = -b + np.sqrt(b * b - (o * o).sum(axis=1) + 0.5**2)
+        return t > p.dark
+
+    mean, error = mean_power(world, inside)
+    expected = COLOR[0] * 4 * math.pi * 0.5**2 / (0.5**2 + 0.4**2)
+    assert error < 0.003 * expected
+    assert abs(mean - expected) < Z * error + 1e-4 * expected
+
+
+def test_directions_of_a_flattened_spot():
+    """Shares of two angles around the axis and of a narrow middle, against a sum over all directions."""
+    light = LAMPS["flat spot"][0]
+    emission, rng = Emission(target(light)), np.random.default_rng(3)
+    d = np.concatenate([emission.draw(4096, rng).direction for _ in range(16)]).astype(float)
+    x, y, z = abs(d[:, 0]), abs(d[:, 1]), -d[:, 2]
+    n = 400
+    c = (np.arange(n) + 0.5) / n
+    phi = (np.arange(n) + 0.5) / n * math.pi / 2
+    r = np.sqrt(1 - c * c)
+    gx, gy, gz = np.outer(r, np.cos(phi)), np.outer(r, np.sin(phi)), np.repeat(c[:, None], n, 1)
+    edge = math.cos(math.radians(50))
+    t = np.clip((gz / np.sqrt((gx / 0.5) ** 2 + (gy / 1.5) ** 2 + gz**2) - edge) / ((1 - edge) * 0.4), 0, 1)
+    density = t * t * (3 - 2 * t)
+    for got, expected in ((x > 0.5 * y, gx > 0.5 * gy), (z > 0.8, gz > 0.8), (y > 0.5, gy > 0.5)):
+        share = (density * expected).sum() / density.sum()
+        assert 0.05 < share < 0.95
+        assert abs(got.mean() - share) < Z * math.sqrt(share * (1 - share) / len(d)) + 2e-3
 
 
 def square_power(light, n=36):
