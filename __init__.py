@@ -5,9 +5,9 @@
 def _parts() -> tuple:
     """The modules that register something, in order."""
     from . import operators, panels
-    from .adjoint_gi.bridge import cli, engine, jobs, preferences, properties
+    from .adjoint_gi.bridge import check, engine, jobs, preferences, properties
 
-    return (properties, preferences, operators, panels, engine, jobs, cli)
+    return (properties, preferences, jobs, check, operators, engine, panels)
 
 
 def register() -> None:

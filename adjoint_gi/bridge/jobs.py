@@ -1,0 +1,303 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one bake that may run in the background of a Blender with a window: started, polled by a timer, written, stopped, continued.
+
+The driver's thread computes on copied arrays and never touches `bpy`; everything here runs on the main thread. Between two ticks only
+session_uids are kept, so undo, renaming and deleting cannot leave a dead reference.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import bpy
+
+from ..core.errors import AdjointError, Notice
+from ..core.solution import Solution
+from . import kept, preferences, records
+from .targets import Targets, mesh_objects
+
+if TYPE_CHECKING:
+    from .bake import BakeRequest
+
+POLL = 0.1  # seconds between two looks at the driver
+STOP = 1.0  # seconds within which the driver must have stopped
+SHARE = 0.1  # largest share of the main thread's time that partial writes may take
+
+
+class Job:
+    """One bake with its driver, the objects it is for, and what became of it.
+
+    `state` is "running", "stopping", "stopped", "finished" or "failed"; `notices` says what went wrong.
+    """
+
+    def __init__(self, context: bpy.types.Context, request: BakeRequest) -> None:
+        from .bake import Bake
+
+        self.request = request
+        self.scene = context.scene.session_uid
+        self.targets = Targets(mesh_objects(request.objects, context.view_layer) if request.target != "render" else ())
+        self.bake = Bake(context, request)
+        self.state = "running"
+        self.notices: list[Notice] = []
+        self.solution: Solution | None = None  # kept while it could not be written
+        self._written = 0  # version of the driver's partial result that was written last
+        self._next_write = 0.0
+
+    @property
+    def active(self) -> bool:
+        """Whether its thread may still be computing."""
+        return self.state in ("running", "stopping")
+
+    def start(self) -> None:
+        """Let the driver compute in its thread."""
+        preferences.apply_threads()
+        self.bake.driver.start()
+        self._next_write = time.monotonic() + preferences.refresh_seconds()
+
+    def poll(self) -> None:
+        """Look at the driver once: write a partial result, or finish."""
+        state = self.bake.driver.state
+        if state == "running":
+            if self.state == "running":
+                self._write_partial()
+        elif state == "failed":
+            self.fail(self.bake.driver.error)
+        else:
+            self.conclude("finished" if state == "finished" else "stopped")
+
+    def stop(self) -> None:
+        """Ask the driver to stop and write what it has; returns within about a second."""
+        if self.state == "running":
+            self.state = "stopping"
+            if self.bake.driver.stop(STOP):
+                self.poll()
+
+    def resume(self) -> None:
+        """Go on from the partial result; raises `AdjointError` when that is not possible."""
+        if self.state != "stopped":
+            raise AdjointError("Continue", "there is no stopped bake", "Press Bake to start one")
+        for problem in self.targets.problems():
+            raise AdjointError(problem.object, problem.reason, problem.remedy)
+        self.state, self.notices = "running", []
+        preferences.apply_threads()
+        self.bake.driver.resume()
+        self._next_write = time.monotonic() + preferences.refresh_seconds()
+
+    def cancel(self) -> None:
+        """Drop the work: nothing more is written. The thread is joined, or left to end by itself after a second."""
+        self.bake.driver.cancel()
+        self.state = "stopped"
+
+    def conclude(self, state: str) -> None:
+        """Write what the driver has, note its numbers on the scene, and make one undo step of it."""
+        self.state = state
+        self.solution = self.bake.driver.solution()
+        if self.solution is None:
+            self.notices = [Notice("", "Stopped before the first result", "Continue, or bake again", "info")]
+            return
+        self.write()
+
+    def write(self) -> None:
+        """Write the final or stopped result to its objects, or to a file of its own when they have changed."""
+        solution, files = self.solution, []
+        scene = self.find_scene()
+        self.notices = self.targets.problems()
+        if scene is None:
+            self.notices = [Notice("Scene", "was deleted while it was baked", "", "error")]
+        applied = not self.notices
+        if applied:
+            try:
+                self.bake.write(solution)
+                files = list(self.bake.report().get("files", ()))
+            except AdjointError as error:
+                self.notices, applied = [error.notice], False
+        if not applied:
+            files = [kept.save(solution)]
+            self.notices.append(Notice("", f"The result is kept in {files[0]} and was not written to the objects", "", "warning"))
+        if scene is not None:
+            quantity = self.request.quantity
+            records.store(
+                scene.adjoint_gi.result,
+                solution,
+                target=self.request.target,
+                quantity=quantity,
+                applied=applied,
+                files=files,
+                notices=self.notices,
+            )
+            push_undo("Adjoint GI Bake" if self.state == "finished" else "Adjoint GI Partial Bake")
+        if applied:
+            self.solution = None
+
+    def fail(self, error: BaseException | None) -> None:
+        """The solver or a write raised: say so, and keep the last partial result if there is one."""
+        self.state = "failed"
+        notice = error.notice if isinstance(error, AdjointError) else Notice("", f"{type(error).__name__}: {error}", "", "error")
+        self.notices = [notice]
+
+    def find_scene(self) -> bpy.types.Scene | None:
+        """The scene it was started in."""
+        return next((s for s in bpy.data.scenes if s.session_uid == self.scene), None)
+
+    def _write_partial(self) -> None:
+        """Show how far it is, at most once in the refresh time, and never for more than a small share of the time."""
+        driver, now = self.bake.driver, time.monotonic()
+        if driver.version == self._written or now < self._next_write:
+            return
+        self._written = driver.version
+        solution = driver.solution()
+        if solution is not None and self.find_scene() is not None and not self.targets.problems(thorough=False):
+            self.bake.write(solution)
+        spent = time.monotonic() - now
+        self._next_write = time.monotonic() + max(preferences.refresh_seconds(), spent / SHARE)
+
+
+_job: Job | None = None
+
+
+def current() -> Job | None:
+    """The job that runs, or the last one of this session."""
+    return _job
+
+
+def running() -> bool:
+    """Whether a bake is under way."""
+    return _job is not None and _job.active
+
+
+def start(context: bpy.types.Context, request: BakeRequest) -> Job:
+    """Start a bake in the background; raises `AdjointError` when one is running or the scene cannot be baked."""
+    global _job
+    if running():
+        raise AdjointError("Bake", "another bake is running", "Stop it or wait for its end")
+    job = Job(context, request)
+    job.start()
+    _job = job
+    _ensure_timer()
+    return job
+
+
+def run(context: bpy.types.Context, request: BakeRequest, progress: Callable[[float], None]) -> Job:
+    """Bake to the end in the foreground, for scripts and background mode; raises `AdjointError` as `start` does."""
+    global _job
+    if running():
+        raise AdjointError("Bake", "another bake is running", "Stop it or wait for its end")
+    job = Job(context, request)
+    preferences.apply_threads()
+    driver = job.bake.driver
+
+    def on_step(*_: object) -> None:
+        progress(driver.fraction)
+
+    driver.run(on_step)
+    _job = job
+    job.poll()
+    return job
+
+
+def stop() -> None:
+    """Stop the running bake and keep its partial result."""
+    if running():
+        _job.stop()
+        redraw()
+
+
+def resume() -> None:
+    """Continue the stopped bake; raises `AdjointError` when there is none or its objects have changed."""
+    if _job is None:
+        raise AdjointError("Continue", "there is no stopped bake", "Press Bake to start one")
+    _job.resume()
+    _ensure_timer()
+
+
+def forget() -> None:
+    """Cancel what runs, join its thread within a second, and forget it. Does nothing when there is no job."""
+    global _job
+    job, _job = _job, None
+    if job is not None and job.active:
+        job.cancel()
+    if bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.unregister(_tick)
+
+
+def tick() -> None:
+    """Look at the job once; this is what the timer does."""
+    job = _job
+    if job is None or not job.active:
+        return
+    try:
+        job.poll()
+    except Exception as error:  # whatever happens in a timer must reach the user, or the bake would seem to run for ever
+        job.bake.driver.cancel()
+        job.fail(error)
+    redraw()
+
+
+def redraw() -> None:
+    """Have the areas that show the job or its result drawn again."""
+    manager = bpy.context.window_manager
+    for window in manager.windows if manager else ():
+        for area in window.screen.areas:
+            if area.type in ("VIEW_3D", "PROPERTIES", "IMAGE_EDITOR"):
+                area.tag_redraw()
+
+
+def push_undo(message: str) -> None:
+    """One undo step for what was just written; a timer has no window of its own, so the first one serves."""
+    manager = bpy.context.window_manager
+    window = bpy.context.window or next(iter(manager.windows if manager else ()), None)
+    with bpy.context.temp_override(window=window) if window else contextlib.nullcontext():
+        if bpy.ops.ed.undo_push.poll():
+            bpy.ops.ed.undo_push(message=message)
+
+
+def _tick() -> float | None:
+    tick()
+    return POLL if running() else None
+
+
+def _ensure_timer() -> None:
+    # Persistent: a timer that a file load drops would leave the job without anyone to finish it.
+    if not bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.register(_tick, first_interval=POLL, persistent=True)
+
+
+@bpy.app.handlers.persistent
+def _before_load(*_: object) -> None:
+    forget()
+
+
+@bpy.app.handlers.persistent
+def _after_undo(*_: object) -> None:
+    """Undo may have taken back the objects that are being baked: then the job stops and keeps what it has."""
+    if running() and (_job.find_scene() is None or _job.targets.problems(thorough=False)):
+        _job.stop()
+
+
+HANDLERS = (("load_pre", _before_load), ("undo_post", _after_undo), ("redo_post", _after_undo))
+
+
+def register() -> None:
+    """Listen to file loads and undo, and make sure that quitting ends the thread."""
+    for name, handler in HANDLERS:
+        getattr(bpy.app.handlers, name).append(handler)
+    atexit.register(_at_exit)
+
+
+def unregister() -> None:
+    """End the job, its timer and the handlers; doing it twice changes nothing."""
+    forget()
+    for name, handler in HANDLERS:
+        with contextlib.suppress(ValueError):
+            getattr(bpy.app.handlers, name).remove(handler)
+    atexit.unregister(_at_exit)
+
+
+def _at_exit() -> None:
+    """Quitting: only the thread is ended, for Blender's data is going or gone."""
+    if _job is not None and _job.active:
+        _job.bake.driver.cancel()

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Adds the demonstration scene."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..adjoint_gi.core.errors import AdjointError
+from .bake import tell
+
+
+class ADJOINTGI_OT_add_demo_scene(bpy.types.Operator):
+    """Add a scene with a Cornell box: two boxes, an area light and colored walls, ready to bake"""
+
+    bl_idname = "adjoint_gi.add_demo_scene"
+    bl_label = "Add Cornell Box"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Build it in a scene of its own."""
+        from ..adjoint_gi.bridge import demo
+
+        try:
+            scene = demo.build_cornell()
+        except AdjointError as error:
+            tell(self, error.notice)
+            return {"CANCELLED"}
+        if context.window:
+            context.window.scene = scene
+        return {"FINISHED"}
+
+
+classes = (ADJOINTGI_OT_add_demo_scene,)

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Show results on the objects, put the user's materials back, forget the numbers."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..adjoint_gi.bridge import jobs, records
+from ..adjoint_gi.core.errors import AdjointError
+from .bake import tell
+
+
+class ADJOINTGI_OT_show_result(bpy.types.Operator):
+    """Show the baked light on the objects; Restore Materials takes it back"""
+
+    bl_idname = "adjoint_gi.show_result"
+    bl_label = "Show Result"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.scene.adjoint_gi.result.target not in ("texture", "attribute"):
+            cls.poll_message_set("Nothing was baked to a texture or attribute")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Give the objects a material that emits the result."""
+        from ..adjoint_gi.bridge import preview
+
+        try:
+            count = preview.show(context.scene)
+        except AdjointError as error:
+            tell(self, error.notice)
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"Showing the result on {count} object{'s' if count != 1 else ''}")
+        return {"FINISHED"}
+
+
+class ADJOINTGI_OT_restore(bpy.types.Operator):
+    """Put the materials back as they were before Show Result"""
+
+    bl_idname = "adjoint_gi.restore"
+    bl_label = "Restore Materials"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Put them back."""
+        from ..adjoint_gi.bridge import preview
+
+        count = preview.restore(context.scene)
+        self.report({"INFO"}, f"Restored the materials of {count} object{'s' if count != 1 else ''}")
+        return {"FINISHED"}
+
+
+class ADJOINTGI_OT_clear_results(bpy.types.Operator):
+    """Put the materials back and forget the numbers of the last bake; baked images and attributes stay"""
+
+    bl_idname = "adjoint_gi.clear_results"
+    bl_label = "Clear Results"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if jobs.running():
+            cls.poll_message_set("A bake is running")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Restore, then clear."""
+        from ..adjoint_gi.bridge import preview
+
+        preview.restore(context.scene)
+        records.clear(context.scene.adjoint_gi.result)
+        jobs.forget()
+        return {"FINISHED"}
+
+
+classes = (ADJOINTGI_OT_show_result, ADJOINTGI_OT_restore, ADJOINTGI_OT_clear_results)

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the panels show, wherever they stand. Nothing here computes or writes; everything about methods comes from their specs."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import bpy
+
+from ..adjoint_gi.bridge import check, jobs
+from ..adjoint_gi.bridge.properties import chosen, group_name, quadrant
+from ..adjoint_gi.core import registry
+from ..adjoint_gi.core.errors import Notice, SettingsError
+from ..adjoint_gi.core.registry import MethodSpec
+from . import text
+
+ICONS = {"info": "INFO", "warning": "ERROR", "error": "CANCEL"}
+
+
+def choice(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Strategy, nature, method, and what the method is."""
+    state = context.scene.adjoint_gi
+    column = layout.column()
+    column.enabled = not jobs.running()
+    column.row().prop(state, "strategy", expand=True)
+    column.row().prop(state, "nature", expand=True)
+    solver = chosen(context.scene)
+    if solver is None:
+        text.label(layout, context, f"No method is both {state.strategy} and {state.nature}", "INFO")
+        return
+    column.prop(state, quadrant(state.strategy, state.nature), text="")
+    taxonomy(layout, context, solver.spec)
+
+
+def taxonomy(layout: bpy.types.UILayout, context: bpy.types.Context, spec: MethodSpec) -> None:
+    """Year, authors, equation, idea and limits, read only."""
+    box = layout.box()
+    text.label(box, context, f"{spec.authors}, {spec.year}", "USER", 1)
+    text.label(box, context, spec.equation, "CON_TRANSFORM", 1)
+    text.label(box, context, spec.idea, "BLANK1", 1)
+    if spec.limits:
+        text.label(box, context, "Cannot do:", "X", 1)
+        for limit in spec.limits:
+            text.label(box, context, limit, "BLANK1", 1)
+
+
+def settings(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """The settings of the chosen method: its own first, the common ones below."""
+    solver = chosen(context.scene)
+    if solver is None:
+        return
+    layout.use_property_split = True
+    layout.use_property_decorate = False
+    layout.enabled = not jobs.running()
+    group = getattr(context.scene.adjoint_gi, group_name(solver.spec.id))
+    common = {f.name for f in dataclasses.fields(registry.Settings)}
+    names = [f.name for f in dataclasses.fields(solver.Settings)]
+    own = layout.column()
+    for name in [n for n in names if n not in common]:
+        own.prop(group, name)
+    shared = layout.column()
+    for name in ("min_length", "max_length", "seed"):
+        shared.prop(group, name)
+
+
+def output(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """What is written, and where to; only what the target uses."""
+    state = context.scene.adjoint_gi
+    layout.use_property_split = True
+    layout.use_property_decorate = False
+    layout.enabled = not jobs.running()
+    layout.prop(state, "target")
+    if state.target != "render":
+        layout.prop(state, "quantity")
+        layout.prop(state, "selection_only")
+    column = layout.column()
+    if state.target == "texture":
+        column.prop(state, "resolution")
+        column.prop(state, "atlas")
+        mesh = context.object.data if context.object and context.object.type == "MESH" else None
+        if mesh is not None:
+            column.prop_search(state, "uv_layer", mesh, "uv_layers", icon="GROUP_UVS")
+        else:
+            column.prop(state, "uv_layer", icon="GROUP_UVS")
+        column.prop(state, "margin")
+        column.prop(state, "subsamples")
+    elif state.target == "attribute":
+        column.prop(state, "attribute")
+        column.prop(state, "domain")
+        column.prop(state, "new_object")
+    if state.target != "attribute":
+        layout.prop(state, "folder")
+
+
+def bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """What is missing, the buttons, and how far the bake is."""
+    job = jobs.current()
+    if job is not None and job.active:
+        _running(layout, job)
+        return
+    found = check.cached(context.scene)
+    notices = [n for n in found or () if n.severity != "info"]
+    if notices:
+        box = layout.box()
+        for item in notices:
+            notice(box, context, item)
+    row = layout.row(align=True)
+    row.scale_y = 1.4
+    start = row.row(align=True)
+    start.enabled = not any(n.severity == "error" for n in notices)
+    start.operator("adjoint_gi.bake", icon="RENDER_STILL" if context.scene.adjoint_gi.target == "render" else "NONE")
+    if job is not None and job.state == "stopped" and not job.notices:
+        row.operator("adjoint_gi.resume")
+    if job is None or job.state == "finished" and not job.notices:
+        return
+    _ended(layout, context, job)
+
+
+def _running(layout: bpy.types.UILayout, job: jobs.Job) -> None:
+    driver = job.bake.driver
+    left = f", {text.duration(driver.seconds_left)} left" if driver.seconds_left is not None else ""
+    layout.progress(factor=driver.fraction, text=f"{100 * driver.fraction:.0f} %{left}")
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    column.label(text=driver.text)
+    column.label(text=f"{text.duration(driver.seconds)}, {text.count(driver.rays)} rays")
+    row = layout.row()
+    row.scale_y = 1.4
+    row.enabled = job.state == "running"
+    row.operator("adjoint_gi.stop", text="Stop" if job.state == "running" else "Stopping...")
+
+
+def _ended(layout: bpy.types.UILayout, context: bpy.types.Context, job: jobs.Job) -> None:
+    driver = job.bake.driver
+    if job.state == "stopped":
+        layout.progress(factor=driver.fraction, text=f"Stopped at {100 * driver.fraction:.0f} %")
+    if job.notices:
+        box = layout.box()
+        for item in job.notices:
+            notice(box, context, item)
+    if job.solution is not None:
+        layout.operator("adjoint_gi.write")
+
+
+def notice(layout: bpy.types.UILayout, context: bpy.types.Context, item: Notice) -> None:
+    """One line of the check: object and reason, the remedy below."""
+    column = layout.column(align=True)
+    text.label(column, context, f"{item.object}: {item.reason}" if item.object else item.reason, ICONS[item.severity], 1)
+    if item.remedy:
+        text.label(column, context, item.remedy, "BLANK1", 1)
+
+
+def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """The numbers of the last bake and what can be done with it."""
+    record = context.scene.adjoint_gi.result
+    layout.use_property_split = True
+    if record.partial:
+        text.label(layout, context, "Partial result: the bake was stopped before its end", "ERROR")
+    if not record.applied:
+        text.label(layout, context, "Kept as a file, not written to the objects", "ERROR")
+    rows: list[tuple[str, str]] = [
+        ("Method", method_label(record.method)),
+        ("Time", text.duration(record.seconds)),
+        ("Rays", text.count(int(record.rays or 0))),
+    ]
+    unit = "W/m² sr" if record.target == "render" else "W/m²"
+    rows.append((f"Mean {'Radiance' if record.target == 'render' else record.quantity.title()}", f"{sum(record.mean) / 3:.4g} {unit}"))
+    if record.has_balance:
+        rows += [
+            ("Emitted", text.watts(record.emitted)),
+            ("Absorbed", text.watts(record.absorbed)),
+            ("Escaped", text.watts(record.escaped)),
+        ]
+        if record.unshot:
+            rows.append(("Not Yet Shot", text.watts(record.unshot)))
+        rows.append(("Balance Gap", text.percent(record.gap)))
+    table(layout, rows)
+    warnings = [i.notice() for i in record.notices if i.severity != "info"]
+    if warnings:
+        box = layout.box()
+        for item in warnings:
+            notice(box, context, item)
+    for path in record.files.splitlines():
+        text.label(layout, context, path, "FILE_IMAGE")
+    if record.target != "render":
+        row = layout.row(align=True)
+        row.operator("adjoint_gi.show_result")
+        row.operator("adjoint_gi.restore")
+    layout.operator("adjoint_gi.clear_results")
+
+
+def table(layout: bpy.types.UILayout, rows: list[tuple[str, str]]) -> None:
+    """Names on the left, values on the right."""
+    column = layout.column(align=True)
+    column.scale_y = 0.85
+    for name, value in rows:
+        split = column.split(factor=0.45)
+        split.label(text=name)
+        split.label(text=value)
+
+
+def method_label(id: str) -> str:
+    """The label of a method; a file may name one that this version does not know."""
+    try:
+        return registry.method(id).spec.label
+    except SettingsError:
+        return id
