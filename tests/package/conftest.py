@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import os
 import subprocess
@@ -35,8 +36,7 @@ def zips(tmp_path_factory) -> Path:
     """The folder with one zip a platform: built now by Blender's builder, or the one that ADJOINT_GI_DIST names."""
     if os.environ.get("ADJOINT_GI_DIST"):
         return Path(os.environ["ADJOINT_GI_DIST"]).resolve()
-    from adjgi import dev
-
+    dev = importlib.import_module("adjgi.dev")
     folder = tmp_path_factory.mktemp("dist")
     dev.build(Path(sys.executable), folder)
     return folder
@@ -45,8 +45,7 @@ def zips(tmp_path_factory) -> Path:
 @pytest.fixture(scope="session")
 def own_zip(zips) -> Path:
     """The zip for the platform of this machine."""
-    from adjgi import dev
-
+    dev = importlib.import_module("adjgi.dev")  # not `from adjgi import`: it is no part of an installed extension
     return dev.own_zip(zips)
 
 

@@ -42,13 +42,20 @@ def our_functions() -> list:
     return [value for module in modules for value in vars(module).values() if inspect.isfunction(value)]
 
 
+def registered_classes(base: type) -> list[type]:
+    """All classes below `base` that scripts have registered; `dir(bpy.types)` leaves property groups out."""
+    below = [cls for sub in base.__subclasses__() for cls in [sub, *registered_classes(sub)]]
+    # Blender makes classes of its own operators, in the module bpy.types, when they are first called.
+    return [cls for cls in below if "bl_rna" in vars(cls) and cls.__module__ != "bpy.types"]
+
+
 def traces() -> dict[str, list[str]]:
     """Everything that registering can leave in Blender, by kind, as sorted names."""
     types = {name: getattr(bpy.types, name) for name in dir(bpy.types)}
     handlers = {name: value for name, value in inspect.getmembers(bpy.app.handlers) if isinstance(value, list)}
     draws = {name: getattr(getattr(cls, "draw", None), "_draw_funcs", []) for name, cls in types.items()}
     found = {
-        "classes": types,
+        "classes": [f"{cls.__module__}.{cls.__qualname__}" for cls in registered_classes(bpy.types.bpy_struct)],
         "properties": [f"{name}.{p.identifier}" for name, cls in types.items() if hasattr(cls, "bl_rna") for p in cls.bl_rna.properties],
         "handlers": [
             f"{name}: {getattr(f, '__module__', '')}.{getattr(f, '__qualname__', f)}" for name, fs in handlers.items() for f in fs
