@@ -25,6 +25,16 @@ class Shading:
         """Whether any colour varies inside a triangle."""
         return bool(self._albedo.varying or self._emission.varying)
 
+    @property
+    def albedo_varies(self) -> bool:
+        """Whether the reflectance varies inside a triangle."""
+        return bool(self._albedo.varying)
+
+    @property
+    def emission_varies(self) -> bool:
+        """Whether the emission varies inside a triangle."""
+        return bool(self._emission.varying)
+
     def albedo(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(n, 3) float32 diffuse reflectance clamped to 0..1."""
         return np.clip(self._albedo.at(triangle, u, v), np.float32(0), np.float32(1))

@@ -1,0 +1,136 @@
+"""Maps from uniform random numbers to directions, points and picks, each with its density.
+
+Batches of vectors are component first, (3, n) float32: numpy runs over them about ten times faster than over (n, 3), and
+Embree takes their transposed views as they are. Random numbers are (n,) arrays in 0..1, made by the caller, so that the same
+maps serve pseudo-random and low-discrepancy numbers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+PI = np.float32(np.pi)
+TWO_PI = np.float32(2 * np.pi)
+ONE = np.float32(1)
+
+
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(n,) scalar products of component-first vectors (3, n)."""
+    return np.einsum("ij,ij->j", a, b)
+
+
+def columns(vectors: np.ndarray) -> np.ndarray:
+    """(3, n) float32 contiguous copy of row vectors (n, 3)."""
+    return np.ascontiguousarray(np.asarray(vectors, np.float32).T)
+
+
+def sphere(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(3, n) unit directions, uniform over the sphere: pdf_w = 1 / (4 pi)."""
+    out = np.empty((3, len(u)), np.float32)
+    z = ONE - 2 * u
+    r = np.sqrt(np.maximum(ONE - z * z, 0))
+    phi = TWO_PI * v
+    np.multiply(r, np.cos(phi), out=out[0])
+    np.multiply(r, np.sin(phi), out=out[1])
+    out[2] = z
+    return out
+
+
+def cosine_hemisphere(normal: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit directions (3, n) about `normal` (3, n) and their cosines (n,): pdf_w = cosine / pi.
+
+    A point of the unit sphere that touches the surface at its south pole, seen from that pole: no local frame is needed.
+    """
+    w = sphere(u, v)
+    w += normal
+    length = np.sqrt(dot(w, w))
+    w /= np.maximum(length, np.float32(1e-12))
+    # w . n = (1 + s . n) / length = length / 2, as length^2 = 2 + 2 s . n.
+    return w, np.minimum(np.float32(0.5) * length, ONE)
+
+
+def frame(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors (3, n) that make a right-handed frame with `normal` (3, n) (Duff et al. 2017)."""
+    nx, ny, nz = normal
+    s = np.copysign(ONE, nz)
+    a = -1 / (s + nz)
+    b = nx * ny * a
+    x = np.stack([ONE + s * nx * nx * a, s * b, -s * nx])
+    y = np.stack([b, s + ny * ny * a, -ny])
+    return x, y
+
+
+def cone(axis: np.ndarray, one_minus_cos: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit directions (3, n) uniform in cones about `axis` (3, n), and their cosines to it: pdf_w = 1 / (2 pi one_minus_cos).
+
+    `one_minus_cos` (n,) is 1 minus the cosine of the half angle, which stays exact for narrow cones.
+    """
+    h = u * one_minus_cos
+    r = np.sqrt(np.maximum(h * (2 - h), 0))
+    phi = TWO_PI * v
+    x, y = frame(axis)
+    c = ONE - h
+    return x * (r * np.cos(phi)) + y * (r * np.sin(phi)) + axis * c, c
+
+
+def disk(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points (x, y), each (n,), uniform in the unit disk: pdf_a = 1 / pi."""
+    r = np.sqrt(u)
+    phi = TWO_PI * v
+    return r * np.cos(phi), r * np.sin(phi)
+
+
+def triangle(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Barycentrics (b1, b2), each (n,), uniform over a triangle: pdf_a = 1 / area.
+
+    The low-distortion map of Heitz 2019, which keeps stratified numbers stratified.
+    """
+    swap = v > u
+    small = np.float32(0.5) * np.where(swap, u, v)
+    large = np.where(swap, v, u) - small
+    return np.where(swap, small, large), np.where(swap, large, small)
+
+
+def power_heuristic(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(n,) weight a^2 / (a^2 + b^2) of a sample drawn with density `a` > 0 that the other technique draws with density `b` (Veach 1997)."""
+    r = b / a
+    return ONE / (ONE + r * r)
+
+
+class PowerTable:
+    """Picks an index with probability proportional to its weight, at the cost of two look-ups (Walker's alias method, 1977).
+
+    probability (k,) float64: of each index, 0 for weights that are 0. Raises ValueError when a weight is negative or not a number.
+    """
+
+    def __init__(self, weights: np.ndarray) -> None:
+        weights = np.asarray(weights, np.float64)
+        total = weights.sum()
+        if len(weights) and not (np.isfinite(total) and weights.min() >= 0):
+            raise ValueError("weights of a power table must be finite and not negative")
+        self.count = len(weights) if total > 0 else 0
+        self.probability = weights / total if total > 0 else np.zeros(len(weights))
+        scaled = self.probability * self.count
+        self._keep = np.ones(len(weights))
+        self._alias = np.arange(len(weights))
+        # Entries below 1 are filled up from entries above 1, first come first served; the last one gives the rest of itself away.
+        small = [i for i in range(self.count) if scaled[i] < 1]
+        large = [i for i in range(self.count) if scaled[i] >= 1]
+        while small and large:
+            i, j = small.pop(), large[-1]
+            self._keep[i], self._alias[i] = scaled[i], j
+            scaled[j] -= 1 - scaled[i]
+            if scaled[j] < 1:
+                small.append(large.pop())
+        if self.count:
+            # What rounding leaves over must not give an index of weight 0 a chance.
+            zero = (self.probability == 0) & (self._keep > 0)
+            self._keep[zero], self._alias[zero] = 0.0, int(np.argmax(self.probability))
+
+    def pick(self, u: np.ndarray) -> np.ndarray:
+        """(n,) int64 indices for numbers `u` (n,) in 0..1; use float64 numbers for more than a few thousand weights."""
+        if self.count == 1:
+            return np.full(len(u), self._alias[0] if self._keep[0] < 1 else 0)
+        x = u * u.dtype.type(self.count)
+        i = np.minimum(x.astype(np.int64), self.count - 1)
+        return np.where(x - i < self._keep.take(i), i, self._alias.take(i))
