@@ -34,10 +34,10 @@ class Ends:
     gained: float = 0.0
     rays: int = 0
 
-    def add(self, other: Ends) -> None:
-        """Add the walks of another batch."""
+    def add(self, other: Ends, factor: float = 1.0) -> None:
+        """Add the walks of another batch, its energies times `factor`."""
         for name, value in vars(other).items():
-            setattr(self, name, getattr(self, name) + value)
+            setattr(self, name, getattr(self, name) + (value if isinstance(value, int) else factor * value))
 
 
 def walk(world: World, particles: Particles, max_length: int, rng: np.random.Generator, visit: Visit) -> Ends:
