@@ -20,7 +20,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 LINES = 500
 OURS = {"adjoint_gi", "solvers", "operators", "panels", "adjgi", "bl_ext"}
-BLENDER = {"bpy", "bpy_extras", "bpy_types", "addon_utils", "bl_ui", "bl_operators", "bmesh", "gpu", "gpu_extras", "mathutils"}
+BLENDER = {"bpy", "bpy_extras", "bpy_types", "addon_utils", "bl_ui", "blf", "bl_operators", "bmesh", "gpu", "gpu_extras", "mathutils"}
 NETWORK = {"socket", "ssl", "http", "urllib", "ftplib", "smtplib", "imaplib", "poplib", "xmlrpc", "socketserver", "requests", "aiohttp"}
 UNSAFE = {"pickle", "_pickle", "cPickle", "marshal", "shelve", "dill", "joblib", "cloudpickle"}
 
