@@ -242,11 +242,11 @@ def own_zip(dist: Path) -> Path:
 def test(arguments: list[str]) -> int:
     """Check the style of the whole repository, then run pytest in the extension mode; with arguments only what they name."""
     python = main_environment()
-    if not arguments:
-        ruff = [python, "-m", "ruff"]
-        if run([*ruff, "check", "."], 300) or run([*ruff, "format", "--check", "."], 300):
-            return 1
-    return run([python, "tests/run.py", *arguments], ADJOINT_GI_EXTENSION="1")
+    codes = [] if arguments else [run([python, "-m", "ruff", *words, "."], 300) for words in (("check",), ("format", "--check"))]
+    codes.append(run([python, "tests/run.py", *arguments], ADJOINT_GI_EXTENSION="1"))
+    if any(codes[:-1]):
+        say("FAILED: ruff, see its message above")
+    return max(codes)
 
 
 def matrix(names: list[str]) -> int:

@@ -80,11 +80,13 @@ def fail(error: Exception) -> None:
 
 
 def bake(folder: Path) -> int:
-    """Bake one lightmap of a lit box by the command that the extension registered; returns its exit code."""
+    """Bake one lightmap of a lit box by the command that the extension registered; returns its exit code, -1 when it registered none."""
     bpy.ops.wm.read_homefile(use_factory_startup=True)  # a cube, a lamp and a camera
     blend = folder / "cube.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(blend))
-    (command,) = [function for _, name, function in commands if name == "adjoint_gi"]
+    command = next((function for _, name, function in commands if name == "adjoint_gi"), None)
+    if command is None:
+        return -1
     words = ["bake", "--method", "path_tracing", "--target", "texture", "--resolution", "16", "--set", "samples=1"]
     return command([*words, "--output", str(folder), "--report", str(folder / "report.json")])
 
