@@ -77,7 +77,7 @@ class ADJOINTGI_OT_bake(bpy.types.Operator):
             manager.progress_end()
         for notice in job.notices:
             tell(self, notice)
-        if job.state != "finished":
+        if job.state != "finished" or job.solution is not None:  # a kept solution is one that was not written
             return {"CANCELLED"}
         self.report({"INFO"}, summary(context.scene.adjoint_gi.result))
         return {"FINISHED"}

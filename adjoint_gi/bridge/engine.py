@@ -17,6 +17,7 @@ import numpy as np
 from ..core.errors import AdjointError, SceneError, SettingsError
 from ..core.receivers import CameraReceivers
 from ..core.registry import Solver
+from ..core.resources import require_memory
 from ..core.scene import Camera, SceneArrays
 from ..core.settings import Settings
 from ..core.world import World
@@ -117,13 +118,11 @@ def prepare(depsgraph: bpy.types.Depsgraph, width: int, height: int) -> Plan:
 
 
 def border(render: bpy.types.RenderSettings, width: int, height: int) -> tuple[int, int, int, int]:
-    """The part of the picture to render, in pixels (left, right, bottom, top), rounded as Blender does it."""
+    """The part of the picture to render, in pixels (left, right, bottom, top), rounded as Blender does it; it refuses less than one."""
     if not render.use_border:
         return (0, width, 0, height)
     left, right = int(render.border_min_x * width), int(render.border_max_x * width)
     bottom, top = int(render.border_min_y * height), int(render.border_max_y * height)
-    if right <= left or top <= bottom:
-        raise SceneError("Render Region", "is smaller than a pixel", "Draw a larger one or turn it off")
     return (left, right, bottom, top)
 
 
@@ -142,6 +141,7 @@ def solve(engine: ADJOINTGI_RE_engine, plan: Plan) -> None:
     spec = plan.solver.spec
     world = World(plan.arrays)
     receivers = CameraReceivers(world)
+    require_memory(spec.label, plan.solver.memory(world, receivers, plan.settings))
     rng = np.random.default_rng(plan.settings.seed)
     for name, channels, ids, _ in passes(spec):
         if name != "Combined":  # there from the start

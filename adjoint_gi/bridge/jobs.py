@@ -31,7 +31,7 @@ SHARE = 0.1  # largest share of the main thread's time that partial writes may t
 class Job:
     """One bake with its driver, the objects it is for, and what became of it.
 
-    `state` is "running", "stopping", "stopped", "finished" or "failed"; `notices` says what went wrong.
+    `state` is "running", "stopping", "stopped", "finished", "failed" or "cancelled"; `notices` says what went wrong.
     """
 
     def __init__(self, context: bpy.types.Context, request: BakeRequest) -> None:
@@ -89,8 +89,8 @@ class Job:
 
     def cancel(self) -> None:
         """Drop the work: nothing more is written. The thread is joined, or left to end by itself after a second."""
-        self.bake.driver.cancel()
-        self.state = "stopped"
+        self.bake.driver.cancel(STOP)
+        self.state = "cancelled"
 
     def conclude(self, state: str) -> None:
         """Write what the driver has, note its numbers on the scene, and make one undo step of it."""
@@ -138,6 +138,7 @@ class Job:
         self.state = "failed"
         notice = error.notice if isinstance(error, AdjointError) else Notice("", f"{type(error).__name__}: {error}", "", "error")
         self.notices = [notice]
+        self.solution = self.bake.driver.solution()
 
     def find_scene(self) -> bpy.types.Scene | None:
         """The scene it was started in."""
@@ -188,14 +189,12 @@ def run(context: bpy.types.Context, request: BakeRequest, progress: Callable[[fl
         raise AdjointError("Bake", "another bake is running", "Stop it or wait for its end")
     job = Job(context, request)
     preferences.apply_threads()
-    driver = job.bake.driver
-
-    def on_step(*_: object) -> None:
-        progress(driver.fraction)
-
-    driver.run(on_step)
     _job = job
-    job.poll()
+    try:
+        job.bake.driver.run(lambda driver: progress(driver.fraction))
+        job.poll()
+    except AdjointError as error:
+        job.fail(error)
     return job
 
 
@@ -232,7 +231,7 @@ def tick() -> None:
     try:
         job.poll()
     except Exception as error:  # whatever happens in a timer must reach the user, or the bake would seem to run for ever
-        job.bake.driver.cancel()
+        job.bake.driver.stop(STOP)
         job.fail(error)
     redraw()
 
@@ -300,4 +299,4 @@ def unregister() -> None:
 def _at_exit() -> None:
     """Quitting: only the thread is ended, for Blender's data is going or gone."""
     if _job is not None and _job.active:
-        _job.bake.driver.cancel()
+        _job.bake.driver.cancel(STOP)

@@ -15,7 +15,9 @@ def traces() -> dict[str, object]:
     compatible = {p.__name__ for p in bpy.types.Panel.__subclasses__() if "ADJOINT_GI" in getattr(p, "COMPAT_ENGINES", ())}
     return {
         "types": found,
-        "engines": {c.bl_idname for c in bpy.types.RenderEngine.__subclasses__() if c.is_registered and "ADJOINT" in c.bl_idname},
+        "engines": {
+            c.bl_idname for c in bpy.types.RenderEngine.__subclasses__() if "ADJOINT" in getattr(c, "bl_idname", "") and c.is_registered
+        },
         "operators": operators,
         "handlers": handlers,
         "scene property": hasattr(bpy.types.Scene, "adjoint_gi"),

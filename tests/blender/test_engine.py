@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The render engine: what F12 and `-f 1` write, read back from the file."""
+
+import bpy
+import numpy as np
+import OpenEXR
+import pytest
+from adjgi.adjoint_gi.bridge.engine_passes import FAR
+from adjgi.tests.blender.fakes import camera, fake_method, square
+
+WIDTH, HEIGHT = 40, 30
+
+
+@pytest.fixture
+def scene(registered):
+    with fake_method(registered):
+        scene = bpy.context.scene
+        scene.render.engine = "ADJOINT_GI"
+        scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = WIDTH, HEIGHT, 100
+        square()  # 2 m wide under a camera that sees 3 m across its width and 2.25 m across its height
+        camera()
+        yield scene
+
+
+def rendered(scene, path, layer="ViewLayer") -> dict[str, np.ndarray]:
+    """Render to a multilayer EXR; pass name to (h, w, channels) float32 of one view layer, row 0 at the top."""
+    settings = scene.render.image_settings
+    if hasattr(settings, "media_type"):
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
+    passes: dict[str, dict[str, np.ndarray]] = {}
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        for part in file.parts:
+            for name, channel in part.channels.items():
+                of, group, letter = name.split(".")
+                if of == layer:
+                    assert letter not in passes.setdefault(group, {}), f"{group} stands twice in the file"
+                    passes[group][letter] = np.array(channel.pixels, np.float32)
+    order = "RGBAXYZV"
+    return {name: np.stack([c[k] for k in sorted(c, key=order.index)], -1) for name, c in passes.items()}
+
+
+def test_all_passes_reach_the_file(scene, tmp_path):
+    got = rendered(scene, tmp_path / "out.exr")
+    assert {"Combined", "Depth", "Normal", "Emission", "Direct", "Indirect", "Albedo", "Elements"} <= set(got)
+    assert got["Combined"].shape == (HEIGHT, WIDTH, 4)
+    on, off = (HEIGHT // 2, WIDTH // 2), (0, 0)
+    np.testing.assert_allclose(got["Direct"][on], [1, 2, 3])
+    np.testing.assert_allclose(got["Indirect"][on], [2, 4, 6])
+    np.testing.assert_allclose(got["Combined"][on], [3, 6, 9, 1])
+    np.testing.assert_allclose(got["Elements"][on], 7)
+    np.testing.assert_allclose(got["Albedo"][on], 0.5)
+    np.testing.assert_allclose(got["Normal"][on], [0, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(got["Depth"][on], 5, rtol=1e-5)
+    assert got["Depth"][off] == np.float32(FAR)
+    assert not got["Normal"][off].any()
+    assert got["Combined"][off][3] == 1  # the background is opaque
+
+
+@pytest.mark.parametrize("on", [True, False])
+def test_blenders_own_pass_switches_double_nothing(scene, tmp_path, on):
+    layer = scene.view_layers[0]
+    for name in ("combined", "z", "normal", "emit", "mist", "position", "object_index"):
+        setattr(layer, f"use_pass_{name}", on)
+    got = rendered(scene, tmp_path / "out.exr")
+    np.testing.assert_allclose(got["Depth"][HEIGHT // 2, WIDTH // 2], 5, rtol=1e-5)
+    np.testing.assert_allclose(got["Combined"][HEIGHT // 2, WIDTH // 2], [3, 6, 9, 1])
+
+
+def test_transparent_film_takes_the_background_out(scene, tmp_path):
+    scene.render.film_transparent = True
+    got = rendered(scene, tmp_path / "out.exr")
+    assert got["Combined"][HEIGHT // 2, WIDTH // 2, 3] == 1
+    assert not got["Combined"][0, 0].any()
+    covered = got["Combined"][..., 3].mean()
+    assert covered == pytest.approx(2 * 2 / (3 * 2.25), rel=0.02)
+
+
+def test_percentage_of_the_resolution(scene, tmp_path):
+    scene.render.resolution_percentage = 50
+    got = rendered(scene, tmp_path / "out.exr")
+    assert got["Combined"].shape == (HEIGHT // 2, WIDTH // 2, 4)
+
+
+@pytest.mark.parametrize("crop", [True, False])
+def test_render_region(scene, tmp_path, crop):
+    whole = rendered(scene, tmp_path / "whole.exr")["Depth"]
+    scene.render.use_border, scene.render.use_crop_to_border = True, crop
+    scene.render.border_min_x, scene.render.border_max_x = 0.1, 0.5
+    scene.render.border_min_y, scene.render.border_max_y = 0.2, 0.95
+    got = rendered(scene, tmp_path / "part.exr")["Depth"]
+    rows, columns = slice(HEIGHT - 28, HEIGHT - 6), slice(4, 20)  # 28 = int(0.95 * 30), counted from below
+    if crop:
+        np.testing.assert_array_equal(got, whole[rows, columns])
+    else:
+        assert got.shape == whole.shape
+        np.testing.assert_array_equal(got[rows, columns], whole[rows, columns])
+
+
+def test_animation_writes_every_frame(scene, tmp_path):
+    scene.frame_start, scene.frame_end = 1, 2
+    scene.render.image_settings.file_format = "OPEN_EXR"
+    scene.render.filepath = str(tmp_path / "frame_")
+    bpy.ops.render.render(animation=True)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["frame_0001.exr", "frame_0002.exr"]
+
+
+def test_two_view_layers(scene, tmp_path):
+    scene.view_layers.new("Second")
+    for layer in ("ViewLayer", "Second"):
+        got = rendered(scene, tmp_path / f"{layer}.exr", layer)
+        np.testing.assert_allclose(got["Direct"][HEIGHT // 2, WIDTH // 2], [1, 2, 3])
+
+
+@pytest.mark.parametrize("case", ["no camera", "method fails", "panoramic camera", "stereo", "tiny region", "contradiction"])
+def test_errors_are_said(scene, tmp_path, case):
+    state = scene.adjoint_gi
+    if case == "no camera":
+        bpy.data.objects.remove(scene.camera)
+    elif case == "method fails":
+        state.settings_fake.mode = "fails"
+    elif case == "panoramic camera":
+        scene.camera.data.type = "PANO"
+    elif case == "stereo":
+        scene.render.use_multiview = True
+    elif case == "tiny region":
+        scene.render.use_border = True
+        scene.render.border_min_x, scene.render.border_max_x = 0.5, 0.501
+    else:
+        state.settings_fake.min_length, state.settings_fake.max_length = 5, 2
+    words = {
+        "no camera": "amera",
+        "method fails": "fails on purpose",
+        "panoramic camera": "pano",
+        "stereo": "stereoscopy",
+        "tiny region": "too small",  # Blender itself refuses it
+        "contradiction": "min_length",
+    }
+    with pytest.raises(RuntimeError, match=words[case]):
+        bpy.ops.render.render()
+    # The next render works.
+    if case == "method fails":
+        state.settings_fake.mode = "fine"
+        np.testing.assert_allclose(rendered(scene, tmp_path / "out.exr")["Direct"][15, 20], [1, 2, 3])
+
+
+def test_compositor_sees_the_passes(scene):
+    """The sockets of the Render Layers node come from the same list as the passes."""
+    scene.view_layers[0].update_render_passes()
+    if hasattr(scene, "compositing_node_group"):
+        tree = bpy.data.node_groups.new("Compositing", "CompositorNodeTree")
+        scene.compositing_node_group = tree
+    else:
+        scene.use_nodes = True
+        tree = scene.node_tree
+    node = tree.nodes.new("CompositorNodeRLayers")
+    scene.view_layers[0].update_render_passes()
+    names = {s.name for s in node.outputs if s.enabled}
+    assert {"Direct", "Indirect", "Albedo", "Elements"} <= names
