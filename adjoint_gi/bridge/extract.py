@@ -31,7 +31,7 @@ def extract(depsgraph: bpy.types.Depsgraph, scene: bpy.types.Scene | None = None
     walk.run(depsgraph)
 
     # Step 2: bring every instance to world space.
-    placed = place(walk.groups, notices)
+    placed = place(walk.groups, materials.colors.uses_default_attribute, notices)
 
     # Step 3: what is not geometry.
     lights = read_lights(walk.lights, notices)

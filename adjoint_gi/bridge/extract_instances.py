@@ -1,6 +1,5 @@
-"""Walking the depsgraph: which objects and instances count, what they are called, and their meshes placed in world space.
+"""Walking the depsgraph: objects and instances, what they are called, and their meshes placed in world space.
 
-An object counts when the given depsgraph evaluates it and it is not hidden in render, by itself or by all of its collections.
 Curves, texts, surfaces and metaballs need no conversion: the depsgraph lists the mesh they evaluate to as an instance of themselves.
 """
 
@@ -15,15 +14,16 @@ import numpy as np
 from ..core.scene import ObjectArrays
 from .extract_mesh import LARGEST_COORDINATE, MeshArrays, read_mesh
 from .extract_notices import Notices
+from .extract_visibility import Visibility
 
 NO_ID = 2**31 - 1  # fills the unused end of a persistent_id
-FACELESS = {"EMPTY", "CAMERA", "LIGHT", "LIGHT_PROBE", "SPEAKER", "ARMATURE", "LATTICE"}
+FACELESS = {"CAMERA", "LIGHT", "LIGHT_PROBE", "SPEAKER", "ARMATURE", "LATTICE"}
 BECOMES_MESH = {"CURVE", "FONT", "SURFACE", "META"}
 
 
 @dataclass(eq=False)
 class Group:
-    """Instances that share mesh and materials."""
+    """Instances that share mesh, handedness and materials."""
 
     mesh: MeshArrays
     materials: np.ndarray  # (ns,) int32: scene material of each slot, at least one
@@ -50,62 +50,43 @@ class Walk:
         self._material_of = material_of
         self._notices = notices
         self._meshes: dict[int, MeshArrays | None] = {}
-        self._groups: dict[tuple[int, int], Group | None] = {}
-        self._hidden: dict[int, bool] = {}
+        self._groups: dict[tuple[int, bool, bytes], Group] = {}
+        self._group_of: dict[tuple[int, int, bool], Group | None] = {}
+        self._curves: dict[str, str] = {}
         self._names: set[str] = set()
         self.lights: list[LightInstance] = []
 
     @property
     def groups(self) -> list[Group]:
         """All groups with at least one instance, in the order of first appearance."""
-        return [g for g in self._groups.values() if g is not None and g.names]
+        return list(self._groups.values())
 
     def run(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Visit every object and instance once and copy what is needed of it."""
-        in_hidden_collections = _hidden_by_collections(depsgraph.view_layer)
+        visibility = Visibility(depsgraph, self._notices)
         for inst in depsgraph.object_instances:
             obj = inst.object
             original = obj.original
-            kind = obj.type
-            if self._skips(inst, obj, original, kind, in_hidden_collections):
+            if not visibility.shows(inst, original):
                 continue
+            kind = obj.type
+            if kind in BECOMES_MESH:
+                self._curves[original.name] = kind
             if kind == "MESH":
                 self._visit_mesh(inst, obj, original)
             elif kind == "LIGHT":
                 self._visit_light(inst, obj, original)
-            elif kind not in FACELESS and kind not in BECOMES_MESH:
+            elif kind not in FACELESS and kind not in BECOMES_MESH and not (kind == "EMPTY" and original.is_instancer):
                 self._notices.add(
-                    original.name, f"is a {_words(kind)}, which has no faces, and is left out", "Convert it to a mesh", "info"
+                    original.name, f"is of type {_words(kind)}, which has no faces, and is left out", "Convert it to a mesh", "info"
                 )
-        for name in self._unmeshed(depsgraph):
-            self._notices.add(name, "gives no faces and is left out", "Give the curve a bevel or an extrusion", "info")
-
-    def _skips(
-        self,
-        inst: bpy.types.DepsgraphObjectInstance,
-        obj: bpy.types.Object,
-        original: bpy.types.Object,
-        kind: str,
-        in_hidden_collections: set[int],
-    ) -> bool:
-        """Whether rendering would not show it."""
-        pointer = original.as_pointer()
-        hidden = self._hidden.get(pointer)
-        if hidden is None:
-            hidden = original.hide_render
-            if kind not in ("CAMERA", "ARMATURE", "LATTICE", "SPEAKER", "LIGHT_PROBE") and (
-                hidden or (not inst.is_instance and pointer in in_hidden_collections)
-            ):
-                self._notices.add(original.name, "is hidden in render and is left out", "Enable it in renders if it should count", "info")
-            self._hidden[pointer] = hidden
-        if hidden:
-            return True
-        if inst.is_instance:
-            return False
-        if pointer in in_hidden_collections:
-            return True
-        # The object that makes instances can be told not to show itself.
-        return original.is_instancer and kind != "EMPTY" and not original.show_instancer_for_render
+        visibility.name_missing(depsgraph)
+        made = {s for g in self.groups for s in g.sources}
+        families = {s.split(".")[0] for s in made}
+        for name, kind in self._curves.items():
+            # Metaballs of one name form one surface, which the first of them owns.
+            if name not in made and not (kind == "META" and name.split(".")[0] in families):
+                self._notices.add(name, "gives no faces and is left out", "Give it a bevel or an extrusion", "info")
 
     def _visit_mesh(self, inst: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, original: bpy.types.Object) -> None:
         matrix = [x for row in inst.matrix_world for x in row]
@@ -158,20 +139,23 @@ class Walk:
         """The group of this mesh, object (slots may be linked to it) and handedness; None when the mesh has no faces."""
         mesh = obj.data
         pointer = mesh.as_pointer()
-        key = (original.as_pointer() * 2 + mirrored, pointer)
-        if key in self._groups:
-            return self._groups[key]
+        key = (original.as_pointer(), pointer, mirrored)
+        if key not in self._group_of:
+            self._group_of[key] = self._make_group(obj, mesh, pointer, mirrored, name)
+        return self._group_of[key]
+
+    def _make_group(self, obj: bpy.types.Object, mesh: bpy.types.Mesh, pointer: int, mirrored: bool, name: str) -> Group | None:
+        """The group that objects of this mesh, handedness and materials have in common."""
         if pointer not in self._meshes:
             self._meshes[pointer] = self._read(obj, mesh, name)
         arrays = self._meshes[pointer]
         if arrays is None:
-            self._groups[key] = None
             return None
-        if mirrored:
-            arrays = self._mirrored(pointer, arrays)
-        group = Group(arrays, self._slots(obj, mesh))
-        self._groups[key] = group
-        return group
+        slots = self._slots(obj, mesh)
+        key = (pointer, mirrored, slots.tobytes())
+        if key not in self._groups:
+            self._groups[key] = Group(self._mirrored(pointer, arrays) if mirrored else arrays, slots)
+        return self._groups[key]
 
     def _read(self, obj: bpy.types.Object, mesh: bpy.types.Mesh, name: str) -> MeshArrays | None:
         """Copy a mesh. In edit mode its layers cannot be read (their length is 0), but those of a temporary copy can."""
@@ -198,15 +182,6 @@ class Walk:
                 materials[i] = slot.material
         return np.array([self._material_of(m) for m in materials or [None]], np.int32)
 
-    def _unmeshed(self, depsgraph: bpy.types.Depsgraph) -> list[str]:
-        """Curve-like objects of the view layer that evaluated to no mesh at all."""
-        made = {s for g in self._groups.values() if g for s in g.sources}
-        out = []
-        for obj in depsgraph.view_layer.objects:
-            if obj.type in BECOMES_MESH and obj.name not in made and self._hidden.get(obj.as_pointer()) is False and obj.type != "META":
-                out.append(obj.name)
-        return out
-
 
 @dataclass(eq=False)
 class Placed:
@@ -223,8 +198,11 @@ class Placed:
     objects: tuple[ObjectArrays, ...]
 
 
-def place(groups: list[Group], notices: Notices) -> Placed:
-    """Transform every instance to world space and join the arrays; per-mesh UV and colour arrays are shared by instances."""
+def place(groups: list[Group], default_color: bool, notices: Notices) -> Placed:
+    """Transform every instance to world space and join the arrays; per-mesh UV and colour arrays are shared by instances.
+
+    With `default_color` the colour attribute used in rendering is entered under "" too, for nodes that name none.
+    """
     objects: list[ObjectArrays] = []
     parts: list[tuple[np.ndarray, ...]] = []
     vertex_base = triangle_base = 0
@@ -243,6 +221,9 @@ def place(groups: list[Group], notices: Notices) -> Placed:
         shift = vertex_base + nv * np.arange(k)[:, None, None]
         slots = group.materials[np.clip(mesh.slot, 0, len(group.materials) - 1)]
         first = len(objects)
+        colors = mesh.colors
+        if default_color and mesh.render_color in colors:
+            colors = {**colors, "": colors[mesh.render_color]}
         parts.append(
             (
                 vertices[kept].reshape(-1, 3),
@@ -270,7 +251,7 @@ def place(groups: list[Group], notices: Notices) -> Placed:
                     polygon_count=mesh.polygon_count,
                     uvs=mesh.uvs,
                     render_uv=mesh.render_uv,
-                    colors=mesh.colors,
+                    colors=colors,
                 )
             )
         vertex_base += nv * k
@@ -314,22 +295,6 @@ def _squashed(m: list[float], determinant: float) -> bool:
     """Whether a matrix is flat within float32 precision: its volume is nothing beside the cube of its longest axis."""
     longest = max(m[i] * m[i] + m[i + 4] * m[i + 4] + m[i + 8] * m[i + 8] for i in range(3))
     return abs(determinant) < 1e-12 * longest**1.5
-
-
-def _hidden_by_collections(view_layer: bpy.types.ViewLayer) -> set[int]:
-    """Pointers of objects all of whose collections in this view layer are hidden in render."""
-    shown: set[int] = set()
-    hidden: set[int] = set()
-
-    def visit(layer: bpy.types.LayerCollection, off: bool) -> None:
-        off = off or layer.collection.hide_render
-        if not layer.exclude:
-            (hidden if off else shown).update(o.as_pointer() for o in layer.collection.objects)
-        for child in layer.children:
-            visit(child, off)
-
-    visit(view_layer.layer_collection, False)
-    return hidden - shown
 
 
 def _words(kind: str) -> str:

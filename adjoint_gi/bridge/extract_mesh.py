@@ -26,6 +26,7 @@ class MeshArrays:
     smooth          (nt,) bool
     slot            (nt,) int32 material slot as stored, which may be out of range
     uvs, colors     per layer (nt, 3, 2) and (nt, 3, 4) float32 per triangle corner
+    render_color    the colour attribute that nodes without a name read
     """
 
     vertices: np.ndarray
@@ -38,6 +39,7 @@ class MeshArrays:
     uvs: dict[str, np.ndarray]
     render_uv: str
     colors: dict[str, np.ndarray]
+    render_color: str
     corner_count: int
     polygon_count: int
 
@@ -55,6 +57,7 @@ class MeshArrays:
             uvs={name: np.ascontiguousarray(a[:, swap]) for name, a in self.uvs.items()},
             render_uv=self.render_uv,
             colors={name: np.ascontiguousarray(a[:, swap]) for name, a in self.colors.items()},
+            render_color=self.render_color,
             corner_count=self.corner_count,
             polygon_count=self.polygon_count,
         )
@@ -94,6 +97,7 @@ def read_mesh(mesh: bpy.types.Mesh, name: str, notices: Notices) -> MeshArrays |
         uvs=uvs,
         render_uv=next((layer.name for layer in mesh.uv_layers if layer.active_render), ""),
         colors=_colors(mesh, triangles, corners, polygon, name, notices),
+        render_color=_render_color(mesh),
         corner_count=len(mesh.loops),
         polygon_count=len(mesh.polygons),
     )
@@ -189,6 +193,12 @@ def _colors(
             color, name, f'colour attribute "{attribute.name}" holds values that are not numbers; they count as 0', notices
         )
     return out
+
+
+def _render_color(mesh: bpy.types.Mesh) -> str:
+    """Name of the colour attribute used in rendering, "" without any."""
+    attributes, index = mesh.color_attributes, mesh.color_attributes.render_color_index
+    return attributes[index].name if 0 <= index < len(attributes) else ""
 
 
 def _finite(values: np.ndarray, name: str, reason: str, notices: Notices) -> np.ndarray:
