@@ -52,7 +52,7 @@ class Lobes:
     """The BSDF at n surface points seen from `wo` (n, 3): frame of the shading normal and lobe weights.
 
     entering (n,) bool: seen from outside, so that light which goes through enters the object.
-    coat (n,) float32: albedo of the dielectric coat at wo (0 without one); coat_table (n,) rows into `coats`.
+    material (n,) int32: row of the coat table, -1 for no coat.
     """
 
     wo: np.ndarray  # world
@@ -122,6 +122,8 @@ class BsdfTable:
                     tint = float(np.mean(lobe.color.constant)) if lobe.color.is_constant else 1.0
                     table[i] += tint * coat_albedo(mu, lobe.roughness, lobe.ior)
         table = np.minimum(table, np.float32(0.999))
+        # A last row of zeros stands for no material: index -1 is a surface without a coat.
+        table = np.concatenate([table, np.zeros((1, MU), np.float32)])
         return table, (table * (2 * mu / MU)).sum(axis=1)
 
     def coat_at(self, material: np.ndarray, cosine: np.ndarray) -> np.ndarray:
