@@ -84,7 +84,8 @@ class Emission:
         point = (np.arange(n) + rng.random(n)) / n
         cell = np.minimum(np.searchsorted(self._cumulative, point, side="right"), self._last_lit)
         # Step 2: four coordinates in the unit cube.
-        square = (np.arange(1, n + 1)[:, None] * STEPS + rng.random(4)) % 1.0
+        square = np.arange(1, n + 1) * STEPS[:, None] + rng.random((4, 1))
+        square = (square - np.floor(square)).T
         # Step 3: every source turns its stretch into rays and says the power its cell would have if it shone everywhere like here.
         origin, direction, weight = (np.empty((n, 3), np.float32) for _ in range(3))
         light, dark = np.empty(n, np.int32), np.zeros(n, np.float32)

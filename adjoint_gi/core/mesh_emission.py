@@ -96,10 +96,11 @@ class MeshEmission:
         v = (self.base_v[cell] + self.scale[cell] * b).astype(np.float32)
         surface = self.world.surface(self.triangle[cell], u, v)
         # Step 2: one of the two sides.
-        side = np.where(square[:, 2] < 0.5, np.float32(1), np.float32(-1))
+        front = square[:, 2] < 0.5
+        side = np.where(front, np.float32(1), np.float32(-1))
         normal = surface.ng * side[:, None]
         # Step 3: cosine distributed about the normal.
-        direction = cosine_directions(normal, square[:, 2] * 2 % 1.0, square[:, 3])
+        direction = cosine_directions(normal, 2 * square[:, 2] - ~front, square[:, 3])
         origin = surface.position + np.float32(self.world.offset) * normal
         return Rays(origin, direction, self.emission_at(self.triangle[cell], u, v) * self.full[cell, None])
 

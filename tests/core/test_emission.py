@@ -14,8 +14,8 @@ from adjgi.adjoint_gi.core.mesh_emission import cosine_directions
 from adjgi.adjoint_gi.core.scene import Color, Light, Lobe, Material, Source, Term, Texture
 from adjgi.adjoint_gi.core.world import World
 
-# Standard deviations that a sound generator exceeds once in a thousand runs of the 30 z-tests and chi-square tests here (Sidak).
-Z = 4.0
+# Standard deviations that a sound generator exceeds once in a thousand runs of the 40 z-tests and chi-square tests here (Sidak).
+Z = 4.2
 COLOR = (3.0, 1.5, 0.5)
 
 
