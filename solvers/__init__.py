@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from importlib import import_module
 
-MODULES: tuple[str, ...] = ("particle_tracing",)
+MODULES: tuple[str, ...] = (
+    "path_tracing",
+    "particle_tracing",
+)
 
 
 def load() -> None:

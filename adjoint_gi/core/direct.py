@@ -6,6 +6,8 @@ Source: Veach 1997, chapter 9 (power heuristic).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from . import sampling
@@ -68,33 +70,27 @@ def from_hits(
     hit: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     cosine: np.ndarray,
     mesh: bool = True,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Emission met by rays along `w` (3, n) drawn by the cosine (n,): rows (m,), weighted radiance (3, m).
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Emission met by rays along `w` (3, n) drawn by the cosine (n,): for each kind of emitter rows (m,) and weighted radiance (3, m).
 
-    `hit` is what `World.intersect` returned. Rows may come more than once. The irradiance estimate is pi times the radiance.
+    `hit` is what `World.intersect` returned. The irradiance estimate is pi times the radiance.
     """
     triangle, u, v, t = hit
-    parts = []
-    pdf = cosine / PI
+    pdf = np.maximum(cosine / PI, np.float32(1e-12))
     if mesh and emitters.any_mesh:
-        rows = np.flatnonzero(faces.emits.take(triangle) & (triangle >= 0))
+        # A miss, -1, reads the last entry, which is kept for it and does not emit.
+        rows = np.flatnonzero(faces.emits.take(triangle, mode="wrap"))
         if len(rows):
             k = triangle.take(rows)
             radiance = faces.emission_at(k, u.take(rows), v.take(rows))
             other = emitters.pdf_met(k, w.take(rows, axis=1), t.take(rows))
-            radiance *= sampling.power_heuristic(np.maximum(pdf.take(rows), np.float32(1e-12)), other)
-            parts.append((rows, radiance))
+            radiance *= sampling.power_heuristic(pdf.take(rows), other)
+            yield rows, radiance
     if emitters.any_background:
         rows = np.flatnonzero(triangle < 0)
-        parts.append((rows, np.repeat(emitters.background[:, None], len(rows), axis=1)))
+        yield rows, np.repeat(emitters.background[:, None], len(rows), axis=1)
     if len(emitters.shared):
-        radiance = emitters.lamps_met(origin, w, np.where(triangle < 0, INF, t), np.maximum(pdf, np.float32(1e-12)), mesh)
-        parts.append((np.arange(len(t)), radiance))
-    if len(parts) == 1:
-        return parts[0]
-    if not parts:
-        return np.zeros(0, np.int64), np.zeros((3, 0), np.float32)
-    return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts], axis=1)
+        yield np.arange(len(t)), emitters.lamps_met(origin, w, np.where(triangle < 0, INF, t), pdf, mesh)
 
 
 def direct_irradiance(
@@ -128,10 +124,8 @@ def direct_irradiance(
                 w, cosine = sampling.cosine_hemisphere(ns, u[0], u[1])
                 hit = world.intersect(origin.T, w.T)
                 rays += len(cosine)
-                rows, value = from_hits(emitters, faces, origin, w, hit, cosine, mesh)
-                if ns is not ng:
-                    value = value * (dot(w, ng) > 0)[rows]
-                for c in range(3):
-                    total[c] += np.bincount(rows, value[c], len(cosine)) * np.pi
+                above = np.where(dot(w, ng) > 0, PI, np.float32(0)) if ns is not ng else np.full(len(cosine), PI)
+                for rows, value in from_hits(emitters, faces, origin, w, hit, cosine, mesh):
+                    total[:, rows] += value * above[rows]
         out[part] = (total / samples).T
     return out, rays

@@ -11,18 +11,19 @@ from .world import World
 class Faces:
     """Normals, albedo and emission of every triangle of a world, one column each.
 
-    ng (3, nt) float32; albedo and emission (3, nt) float32, None where they vary inside triangles; emits (nt,) bool.
+    ng (3, nt) float32; albedo and emission (3, nt) float32, None where they vary inside triangles; emits (nt + 1,) bool, the last entry
+    for rays that hit nothing, whose triangle is -1.
     """
 
     def __init__(self, world: World) -> None:
         self.world = world
         self.ng = columns(world.rows[:, 9:12])
+        self._corner, self._e1, self._e2 = (columns(world.rows[:, a : a + 3]) for a in (0, 3, 6))
         shading, every = world.shading, np.arange(world.triangle_count, dtype=np.int32)
         zero = np.zeros(len(every), np.float32)
         self.albedo = None if shading.albedo_varies else columns(shading.albedo(every, zero, zero))
         self.emission = None if shading.emission_varies else columns(shading.emission(every, zero, zero))
-        self.emits = shading.emissive()
-        self.any_emits = bool(self.emits.any())
+        self.emits = np.append(shading.emissive(), False)
         # Flat triangles hold their own normal at the corners, so that one formula serves all.
         self.corner_normals = None
         if world.any_smooth:
@@ -49,6 +50,16 @@ class Faces:
         good = (length > np.float32(1e-6)) & (dot(ns, ng) > 0)
         ns /= np.maximum(length, np.float32(1e-6))
         return ng, np.where(good, ns, ng)
+
+    def positions(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(3, n) float32 points at barycentrics (u, v)."""
+        p = self._e1.take(triangle, axis=1)
+        p *= u
+        q = self._e2.take(triangle, axis=1)
+        q *= v
+        p += q
+        p += self._corner.take(triangle, axis=1)
+        return p
 
     def albedo_at(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(3, n) float32 diffuse reflectance."""

@@ -37,9 +37,10 @@ class Receivers:
     kind: str
     measure: str = "irradiance"
     count: int = 0
+    takes_uniform: bool = False  # whether sample() accepts `uniform`
 
-    def sample(self, receiver: np.ndarray, rng: np.random.Generator) -> Points:
-        """One random point on each of the receivers (n,) int64."""
+    def sample(self, receiver: np.ndarray, rng: np.random.Generator, uniform: np.ndarray | None = None) -> Points:
+        """One random point on each of the receivers (n,) int64, from `uniform` (2, n) float32 in 0..1 where given, else from `rng`."""
         raise TypeError(f"{type(self).__name__} does not define sample()")
 
     def sites(self) -> Iterator[Points]:
@@ -54,6 +55,8 @@ class SurfaceReceivers(Receivers):
     has at least one point.
     """
 
+    takes_uniform = True
+
     def __init__(self, kind: str, start: np.ndarray, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> None:
         self.kind = kind
         self.start = np.asarray(start, np.int64)
@@ -62,12 +65,13 @@ class SurfaceReceivers(Receivers):
         self.v = np.asarray(v, np.float32)
         self.count = len(self.start) - 1
 
-    def sample(self, receiver: np.ndarray, rng: np.random.Generator) -> Points:
+    def sample(self, receiver: np.ndarray, rng: np.random.Generator, uniform: np.ndarray | None = None) -> Points:
         """One of the receiver's points, all equally likely."""
-        first = self.start[receiver]
-        many = self.start[receiver + 1] - first
-        pick = first + np.minimum((rng.random(len(receiver), np.float32) * many).astype(np.int64), many - 1)
-        return Points(receiver, self.triangle[pick], self.u[pick], self.v[pick])
+        x = rng.random(len(receiver), np.float32) if uniform is None else uniform[0]
+        first = self.start.take(receiver)
+        many = self.start.take(receiver + 1) - first
+        pick = first + np.minimum((x * many).astype(np.int64), many - 1)
+        return Points(receiver, self.triangle.take(pick), self.u.take(pick), self.v.take(pick))
 
     def sites(self) -> Iterator[Points]:
         """All points."""
@@ -82,6 +86,7 @@ class CameraReceivers(Receivers):
 
     kind = "camera"
     measure = "radiance"
+    takes_uniform = True
 
     def __init__(self, world: World, grid: int = 4) -> None:
         self.world = world
@@ -115,9 +120,9 @@ class CameraReceivers(Receivers):
         triangle = np.where(beyond, np.int32(-1), triangle)
         return Points(receiver, triangle, u, v, -direction, origin, t, len(receiver))
 
-    def sample(self, receiver: np.ndarray, rng: np.random.Generator) -> Points:
+    def sample(self, receiver: np.ndarray, rng: np.random.Generator, uniform: np.ndarray | None = None) -> Points:
         """Where a random ray through each pixel meets the scene (box filter)."""
-        d = rng.random((2, len(receiver)), np.float32)
+        d = rng.random((2, len(receiver)), np.float32) if uniform is None else uniform
         return self._points(receiver, d[0], d[1])
 
     def sites(self) -> Iterator[Points]:
