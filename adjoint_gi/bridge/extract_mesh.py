@@ -147,8 +147,8 @@ def _normals(
     """
     normals = _get(mesh.corner_normals, "vector", 3, np.float32)[corners]
     p = vertices[triangles]
-    face = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    face /= np.linalg.norm(face, axis=1, keepdims=True)
+    doubled = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    face = doubled / np.linalg.norm(doubled, axis=1, keepdims=True)
 
     # Normals that cannot be used (zero on loose or folded geometry, not a number) become the face's own.
     length = np.linalg.norm(normals, axis=2)
@@ -161,9 +161,12 @@ def _normals(
     smooth = np.ones(len(mesh.polygons), bool)
     if sharp is not None and sharp.domain == "FACE":
         smooth = ~_get(sharp.data, "value", 1, bool)
-    of_polygon = _get(mesh.polygon_normals, "vector", 3, np.float32)[polygon]
-    with np.errstate(invalid="ignore"):
-        turned = np.einsum("tij,tj->ti", normals, of_polygon).min(axis=1) < FLAT_NORMAL
+    # The area vectors of its triangles add up to a polygon's normal; Blender 5's `polygon_normals` follow the custom normals instead.
+    count = len(mesh.polygons)
+    of_polygon = np.stack([np.bincount(polygon, doubled[:, i], count) for i in range(3)], axis=1)
+    length = np.linalg.norm(of_polygon, axis=1, keepdims=True)
+    of_polygon = (of_polygon / np.where(length > 0.0, length, 1.0))[polygon]
+    turned = np.einsum("tij,tj->ti", normals, of_polygon).min(axis=1) < FLAT_NORMAL
     turned &= ~bad.any(axis=1) & (np.einsum("tj,tj->t", of_polygon, of_polygon) > 0.5)
     return normals.astype(np.float32, copy=False), smooth[polygon] | turned
 

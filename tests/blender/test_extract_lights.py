@@ -8,7 +8,6 @@ import math
 import bpy
 import numpy as np
 import pytest
-
 from adjgi.adjoint_gi.bridge.extract import extract
 from adjgi.tests.cycles import add_light, measured_irradiance, white_plane
 
