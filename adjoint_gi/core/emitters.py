@@ -6,7 +6,7 @@ Vectors inside are component first, (3, n) float32; `Emitters.sample`, `pdf` and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -121,6 +121,16 @@ class Emitters:
             for name in LightSample.__dataclass_fields__:
                 getattr(out, name)[..., a] = getattr(part, name)
         return out
+
+    def draw_from(self, index: int, p: np.ndarray, u: float, v: float) -> LightSample:
+        """The same point (u, v) of one emitter, an index into `power`, for all ray origins `p` (3, n); pdf_w without the pick."""
+        n = p.shape[1]
+        a, b = np.full(n, u, np.float32), np.full(n, v, np.float32)
+        first = len(self.triangles)
+        if index >= first:
+            return self._draw_lamps(np.full(n, index - first), np.ones(n, np.float32), p, a, b)
+        s = self._draw_triangles(np.full(n, index), p, a, b)
+        return replace(s, pdf_w=s.pdf_w / self._pick[index])
 
     def _draw_triangles(self, k: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> LightSample:
         """Points uniform on the triangles `k`, moved off them towards `p`, so that a shadow ray to them ends before it hits them."""

@@ -1,0 +1,123 @@
+"""Local illumination (Bouknight 1970, Phong 1975, Cook and Torrance 1982; review, section 5.1, Eq. 6 to 8).
+
+Gathering, deterministic. The hemisphere's integral is replaced by a sum over the light sources, each a few differential elements,
+and one uniform ambient radiance L_a stands for all interreflection:
+
+    Lo = Le + rho_a L_a + sum_j fr Le(j) cos theta(j) dw(j)                                                            (6)
+    Bouknight   rho_a L_a + k_d sum_j Le(j) cos theta(j)                                                              (7)
+    Phong       rho_a L_a + sum_j Le(j) [k_d cos theta(j) + k_s cos^n alpha(j)]                                       (8)
+    Cook et al. rho_a L_a + sum_j Le(j) [k_d + k_s cos^n alpha(j)] cos theta(j) dw(j)
+
+In watts, the diffuse term of (7) and (8) is k_d / pi times the irradiance of the element, and the lobe cos^n alpha is scaled by
+(n + 2) / 2 pi, so that k_s is the share of light it reflects at normal incidence. Roughness r maps to n = (2 / r^4 - 2) / 4.
+
+W. J. Bouknight, CACM 13(9), 1970. B. T. Phong, CACM 18(6), 1975. R. L. Cook, K. E. Torrance, ACM TOG 1(1), 1982.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..adjoint_gi.core import settings as base
+from ..adjoint_gi.core.bsdf import BsdfTable
+from ..adjoint_gi.core.emitters import Emitters
+from ..adjoint_gi.core.gathering import Run
+from ..adjoint_gi.core.light_points import LightPoints, phong_lobe
+from ..adjoint_gi.core.radiance import Gathered
+from ..adjoint_gi.core.receivers import Receivers
+from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.settings import setting
+from ..adjoint_gi.core.solution import Step
+from ..adjoint_gi.core.world import Surface, World
+
+MODELS = (
+    ("bouknight", "Bouknight 1970", "Diffuse reflection only, Eq. 7"),
+    ("phong", "Phong 1975", "Adds a highlight around the mirror direction, without the cosine of incidence, Eq. 8"),
+    ("cook", "Cook and Torrance 1982", "The highlight times the cosine of incidence and the solid angle of the light"),
+)
+
+
+@dataclass(frozen=True)
+class LocalSettings(base.Settings):
+    """Settings of local illumination."""
+
+    model: str = setting("cook", label="Model", help="Which reflection model shades the surfaces", choices=MODELS)
+    ambient: float = setting(
+        0.0, label="Ambient Radiance", help="Uniform radiance that stands for all indirect light, W/m2/sr", min=0.0, max=1e9, soft_max=10.0
+    )
+    shadows: bool = setting(True, label="Shadows", help="Light elements that something hides do not count")
+    light_points: int = setting(
+        16,
+        label="Light Points",
+        help="Differential elements that stand for each lamp with a size and for all emissive surfaces",
+        min=1,
+        max=4096,
+    )
+
+
+@register
+class LocalIllumination(Solver):
+    """Sums over light elements at every receiver point."""
+
+    spec = MethodSpec(
+        id="local_illumination",
+        number=1,
+        label="Local Illumination",
+        strategies=(Strategy.GATHERING,),
+        natures=(Nature.DETERMINISTIC,),
+        year=1970,
+        authors="W. J. Bouknight; B. T. Phong; R. L. Cook, K. E. Torrance",
+        title="A Procedure for Generation of Three-Dimensional Half-Toned Computer Graphics Presentations",
+        equation="Lo = Le + rho_a L_a + sum_j fr Le(j) cos theta(j) dw(j)  (6)",
+        section="5.1",
+        idea="Only the light sources light a surface, as a few points each; one constant stands for everything else.",
+        limits=(
+            "No interreflection: indirect light is one constant, the ambient radiance",
+            "Soft shadows are as many hard ones as there are light points",
+            "Roughness maps to the exponent (2 / r^4 - 2) / 4 of a cosine lobe; mirrors and glass reflect only highlights",
+            "Light of the world arrives only through the ambient radiance",
+        ),
+        lobes=frozenset({"diffuse", "emission", "glossy", "metallic", "specular"}),
+    )
+    Settings = LocalSettings
+
+    def solve(self, world: World, receivers: Receivers, settings: LocalSettings, rng: np.random.Generator) -> Iterator[Step]:
+        """Yield after every few batches of receivers."""
+        emitters = Emitters(world)
+        run = Run(self.spec, world, receivers, settings, emitters)
+        points = LightPoints(emitters, settings.light_points)
+        table = BsdfTable(world.scene)
+
+        def estimate(surface: Surface, wo: np.ndarray | None, _: np.random.Generator) -> Gathered:
+            return shade(world, points, table, surface, wo, settings)
+
+        yield from run.sites(estimate)
+
+
+def shade(world: World, points: LightPoints, table: BsdfTable, surface: Surface, wo: np.ndarray | None, s: LocalSettings) -> Gathered:
+    """Eq. 6 to 8 at surface points: radiance towards `wo` (n, 3), or irradiance where it is None."""
+    n = len(surface.triangle)
+    direct = np.zeros((n, 3), np.float32)
+    rays = 0
+    if s.min_length <= 1 <= s.max_length:
+        lobes = None if wo is None else table.at(surface.triangle, surface.u, surface.v, surface.ns, surface.side, wo)
+        for wi, cosine, radiance, weight, cast in points.at(world, surface, s.shadows):
+            rays += cast
+            # Irradiance of this element on the surface.
+            light = radiance * (cosine * weight)[:, None]
+            if lobes is None:
+                direct += light
+                continue
+            direct += light * lobes.diffuse / np.float32(np.pi)
+            if s.model != "bouknight":
+                # Phong leaves out the cosine of incidence: his light is radiance times solid angle.
+                beam = light if s.model == "cook" else radiance * weight[:, None]
+                direct += beam * phong_lobe(lobes, wi)
+    indirect = np.zeros((n, 3), np.float32)
+    if s.max_length >= 2:
+        ambient = np.float32(s.ambient)
+        indirect += ambient * np.pi if wo is None else ambient * world.albedo(surface)
+    return Gathered(direct, indirect, rays)
