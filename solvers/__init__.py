@@ -7,6 +7,8 @@ from importlib import import_module
 MODULES: tuple[str, ...] = (
     "path_tracing",
     "particle_tracing",
+    "matrix_radiosity",
+    "progressive_radiosity",
 )
 
 

@@ -17,6 +17,8 @@ from .world import Surface, World
 # Irradiance (n, 3) of surfaces and the number of rays it took, for direct light evaluated at the receivers themselves.
 Gather = Callable[[Surface, np.random.Generator], tuple[np.ndarray, int]]
 
+PIECE = 1 << 13  # receiver points in one piece of work when direct light is evaluated at them
+
 
 @dataclass(frozen=True, eq=False)
 class Parts:
@@ -85,7 +87,7 @@ class ElementAnswer:
         if self.identity:
             self.ready = 1.0
             return
-        for sites, sums, rays in in_order(self._chunk, enumerate(self.receivers.sites())):
+        for sites, sums, rays in in_order(self._chunk, enumerate(self._pieces())):
             self._sites.append(sites)
             for total, (first, values) in zip((self._emitted, self._albedo, self._direct, self._weight), sums, strict=True):
                 total[first : first + len(values)] += values
@@ -93,6 +95,15 @@ class ElementAnswer:
             self.ready = float(first + len(values)) / max(1, self.receivers.count)
             yield self.ready
         self.ready = 1.0
+
+    def _pieces(self) -> Iterator[Points]:
+        """The receivers' points, in smaller pieces where each of them costs rays to lights."""
+        for points in self.receivers.sites():
+            size = PIECE if self.gather is not None else max(1, len(points.receiver))
+            for a in range(0, len(points.receiver), size):
+                b = slice(a, a + size)
+                rest = (None if x is None else x[b] for x in (points.towards, points.origin, points.distance))
+                yield Points(points.receiver[b], points.triangle[b], points.u[b], points.v[b], *rest, points.rays if a == 0 else 0)
 
     def _chunk(self, item: tuple[int, Points]) -> tuple[_Sites, list[tuple[int, np.ndarray]], int]:
         index, points = item

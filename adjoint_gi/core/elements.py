@@ -41,14 +41,24 @@ class Elements:
         Raises `MemoryRefused` when there would be more than `MAX_ELEMENTS`.
         """
         self.world = world
-        self._find_patches()
-        self.max_edge = float(max_edge) or self._choose_edge(target)
-        n, m = self._divisions(self.max_edge)
+        n, m = self._plan(max_edge, target)
         total = self._total(n, m)
         if total > MAX_ELEMENTS:
             reason = f"{self.max_edge:.3g} m would make {total:,.0f} elements; the limit is {MAX_ELEMENTS:,}"
             raise MemoryRefused("max_edge", reason, "Raise max_edge, or set it to 0 to have it chosen")
         self._divide(n.astype(np.int64), m.astype(np.int64))
+
+    @classmethod
+    def planned(cls, world: World, max_edge: float = 0.0, target: int = 4000) -> int:
+        """How many elements there would be, without making them."""
+        plan = cls.__new__(cls)
+        plan.world = world
+        return int(plan._total(*plan._plan(max_edge, target)))
+
+    def _plan(self, max_edge: float, target: int) -> tuple[np.ndarray, np.ndarray]:
+        self._find_patches()
+        self.max_edge = float(max_edge) or self._choose_edge(target)
+        return self._divisions(self.max_edge)
 
     # ---- patches
 

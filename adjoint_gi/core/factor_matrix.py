@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -135,7 +135,7 @@ class FactorMatrix:
             yield 0.8 + 0.1 * a / n
 
         # 5. Closure: scale sides, symmetrically, until every row and its sky come to the area of the side.
-        scale = self._close(factors, area * sky, area)
+        scale = yield from self._close(factors, area * sky, area)
         for a in range(0, n, BLOCK):
             rows = slice(a, a + BLOCK)
             factors[rows] *= scale[rows, None] * scale / area[rows, None]
@@ -149,8 +149,8 @@ class FactorMatrix:
         return met >= factor - 4 * np.sqrt(factor / self.rays) - 1 / self.rays
 
     @staticmethod
-    def _close(exchange: np.ndarray, sky: np.ndarray, area: np.ndarray) -> np.ndarray:
-        """(n,) scale d with d_i (sum_j S_ij d_j + sky_i) = area_i, for symmetric S (n, n), by Newton's method.
+    def _close(exchange: np.ndarray, sky: np.ndarray, area: np.ndarray) -> Generator[float, None, np.ndarray]:
+        """Returns the scale d (n,) with d_i (sum_j S_ij d_j + sky_i) = area_i, for symmetric S (n, n), by Newton's method.
 
         Divided by d_i, the system of a Newton step is symmetric, so conjugate gradients solve it.
         """
@@ -166,6 +166,7 @@ class FactorMatrix:
             direction, power = best, float(rest @ best)
             for _ in range(CG_STEPS):
                 product = diagonal * direction + exchange @ direction
+                yield 0.95
                 along = float(direction @ product)
                 if along <= 0:
                     break
