@@ -7,7 +7,7 @@ import bpy
 
 from ..adjoint_gi.bridge import check, jobs
 from ..adjoint_gi.bridge.properties import request_of
-from ..adjoint_gi.core.errors import AdjointError, Notice
+from ..adjoint_gi.bridge.records import AdjointError, Notice
 
 
 def tell(operator: bpy.types.Operator, notice: Notice) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..adjoint_gi.core.errors import AdjointError
+from ..adjoint_gi.bridge.records import AdjointError
 from .bake import tell
 
 

@@ -3,15 +3,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import bpy
 
 from ..adjoint_gi.bridge import check, jobs
-from ..adjoint_gi.bridge.properties import chosen, group_name, quadrant
-from ..adjoint_gi.core import registry
-from ..adjoint_gi.core.errors import Notice, SettingsError
-from ..adjoint_gi.core.registry import MethodSpec
+from ..adjoint_gi.bridge.properties import MethodSpec, chosen, group_name, method_label, own_and_common, quadrant
+from ..adjoint_gi.bridge.records import Notice
 from . import text
 
 ICONS = {"info": "INFO", "warning": "ERROR", "error": "CANCEL"}
@@ -53,14 +49,13 @@ def settings(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     layout.use_property_decorate = False
     layout.enabled = not jobs.running()
     group = getattr(context.scene.adjoint_gi, group_name(solver.spec.id))
-    common = {f.name for f in dataclasses.fields(registry.Settings)}
-    names = [f.name for f in dataclasses.fields(solver.Settings)]
-    own = layout.column()
-    for name in [n for n in names if n not in common]:
-        own.prop(group, name)
-    shared = layout.column()
-    for name in ("min_length", "max_length", "seed"):
-        shared.prop(group, name)
+    own, common = own_and_common(solver)
+    column = layout.column()
+    for name in own:
+        column.prop(group, name)
+    column = layout.column()
+    for name in common:
+        column.prop(group, name)
 
 
 def output(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -197,11 +192,3 @@ def table(layout: bpy.types.UILayout, rows: list[tuple[str, str]]) -> None:
         split = column.split(factor=0.45)
         split.label(text=name)
         split.label(text=value)
-
-
-def method_label(id: str) -> str:
-    """The label of a method; a file may name one that this version does not know."""
-    try:
-        return registry.method(id).spec.label
-    except SettingsError:
-        return id

@@ -10,9 +10,12 @@ import bpy
 
 from ..core.errors import AdjointError, Notice
 from . import jobs
+from .preflight import preflight
 from .properties import request_of
+from .request import BakeRequest
 
 INTERVAL = 1.0  # shortest time in seconds between two checks
+QUIET = 0.4  # seconds without a change before a check
 SHARE = 0.02  # largest share of the main thread's time that checks may take
 
 
@@ -20,16 +23,31 @@ class _Cache:
     """The notices of one scene and when they may be looked up again."""
 
     scene = 0  # session_uid
+    request: BakeRequest | Notice | None = None  # what was checked
     notices: tuple[Notice, ...] | None = None
     next_time = 0.0
+    changed_at = 0.0  # when the scene changed last
+    dirty = True
 
 
 def now(context: bpy.types.Context) -> tuple[Notice, ...]:
     """Check at once. An error in the list refuses the bake."""
-    from .bake import preflight
+    return _check(context, _request(context))
 
+
+def _request(context: bpy.types.Context) -> BakeRequest | Notice:
+    """What the panel asks for, or why it asks for nothing."""
     try:
-        return tuple(preflight(context, request_of(context.scene, context.view_layer)))
+        return request_of(context.scene, context.view_layer)
+    except AdjointError as error:
+        return error.notice
+
+
+def _check(context: bpy.types.Context, request: BakeRequest | Notice) -> tuple[Notice, ...]:
+    if isinstance(request, Notice):
+        return (request,)
+    try:
+        return tuple(preflight(context, request))
     except AdjointError as error:
         return (error.notice,)
 
@@ -46,32 +64,51 @@ def cached(scene: bpy.types.Scene) -> tuple[Notice, ...] | None:
 
 
 def refresh() -> None:
-    """Look in the scene of the first window and redraw if the answer has changed."""
+    """Look in the scene of the first window, unless nothing has changed since the last look, and redraw if the answer is another."""
     manager = bpy.context.window_manager
     window = bpy.context.window or next(iter(manager.windows if manager else ()), None)
     started = time.monotonic()
     with bpy.context.temp_override(window=window) if window else contextlib.nullcontext():
         context = bpy.context
-        found, scene = now(context), context.scene.session_uid
+        request, scene = _request(context), context.scene.session_uid
+        if (request, scene) == (_Cache.request, _Cache.scene) and not _Cache.dirty:
+            _Cache.next_time = started + INTERVAL
+            return
+        found = _check(context, request)
     spent = time.monotonic() - started
     changed = (found, scene) != (_Cache.notices, _Cache.scene)
-    _Cache.notices, _Cache.scene = found, scene
+    _Cache.request, _Cache.notices, _Cache.scene, _Cache.dirty = request, found, scene, False
     _Cache.next_time = time.monotonic() + max(INTERVAL, spent / SHARE)
     if changed:
         jobs.redraw()
 
 
-def _look() -> None:
-    if not jobs.running():
-        refresh()
+def _look() -> float | None:
+    if jobs.running():
+        return None
+    # Not while something is being dragged or typed: every change puts the check off.
+    quiet = time.monotonic() - _Cache.changed_at
+    if quiet < QUIET:
+        return QUIET - quiet + 0.01
+    refresh()
+    return None
+
+
+@bpy.app.handlers.persistent
+def _changed(*_: object) -> None:
+    """Something in the scene is not as it was when it was checked. Nothing may be read or written here but this note."""
+    _Cache.dirty, _Cache.changed_at = True, time.monotonic()
 
 
 def register() -> None:
     """Start without knowledge."""
-    _Cache.scene, _Cache.notices, _Cache.next_time = 0, None, 0.0
+    _Cache.scene, _Cache.request, _Cache.notices, _Cache.next_time, _Cache.dirty = 0, None, None, 0.0, True
+    bpy.app.handlers.depsgraph_update_post.append(_changed)
 
 
 def unregister() -> None:
-    """Take the timer away if it waits."""
+    """Take the timer away if it waits, and the handler."""
+    with contextlib.suppress(ValueError):
+        bpy.app.handlers.depsgraph_update_post.remove(_changed)
     if bpy.app.timers.is_registered(_look):
         bpy.app.timers.unregister(_look)

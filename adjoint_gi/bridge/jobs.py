@@ -18,10 +18,10 @@ import bpy
 from ..core.errors import AdjointError, Notice
 from ..core.solution import Solution
 from . import kept, preferences, records
-from .targets import Targets, mesh_objects
+from .watch import Targets, mesh_objects
 
 if TYPE_CHECKING:
-    from .bake import BakeRequest
+    from .bake import Bake, BakeRequest
 
 POLL = 0.1  # seconds between two looks at the driver
 STOP = 1.0  # seconds within which the driver must have stopped
@@ -35,12 +35,10 @@ class Job:
     """
 
     def __init__(self, context: bpy.types.Context, request: BakeRequest) -> None:
-        from .bake import Bake
-
         self.request = request
         self.scene = context.scene.session_uid
         self.targets = Targets(mesh_objects(request.objects, context.view_layer) if request.target != "render" else ())
-        self.bake = Bake(context, request)
+        self.bake = new_bake(context, request)
         self.state = "running"
         self.notices: list[Notice] = []
         self.solution: Solution | None = None  # kept while it could not be written
@@ -155,6 +153,13 @@ class Job:
             self.bake.write(solution)
         spent = time.monotonic() - now
         self._next_write = time.monotonic() + max(preferences.refresh_seconds(), spent / SHARE)
+
+
+def new_bake(context: bpy.types.Context, request: BakeRequest) -> Bake:
+    """The bake that a job drives: copies the scene and makes the driver."""
+    from .bake import Bake
+
+    return Bake(context, request)
 
 
 _job: Job | None = None

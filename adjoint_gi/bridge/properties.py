@@ -6,20 +6,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import dataclasses
 
 import bpy
 
 from ... import solvers
 from ..core import registry
 from ..core.errors import SettingsError
-from ..core.registry import Nature, Solver, Strategy
+from ..core.registry import MethodSpec, Nature, Solver, Strategy
 from ..core.settings import Settings
 from . import fields
 from .records import ADJOINTGI_PG_notice, ADJOINTGI_PG_result
+from .request import BakeRequest
 
-if TYPE_CHECKING:
-    from .bake import BakeRequest
+__all__ = ["MethodSpec", "chosen", "group_name", "method_label", "own_and_common", "quadrant", "request_of", "settings_of"]
 
 STRATEGIES = (
     (Strategy.GATHERING.value, "Gathering", "Solve the radiance equation: light is collected backwards from where it is wanted", 0),
@@ -46,6 +46,9 @@ DOMAINS = (
     ("CORNER", "Face Corners", "One value for each corner of each face: hard edges stay hard", 1),
 )
 
+# The panel starts with the defaults of the command line.
+DEFAULT = {f.name: f.default for f in dataclasses.fields(BakeRequest)}
+
 
 def quadrant(strategy: str, nature: str) -> str:
     """Name of the property that holds the method chosen in one quadrant of the taxonomy."""
@@ -65,39 +68,46 @@ class Root:
     )
     nature: bpy.props.EnumProperty(name="Nature", description="How the equation is solved", items=NATURES, default="nondeterministic")
 
-    target: bpy.props.EnumProperty(name="Target", description="What the result is written to", items=TARGETS, default="texture")
-    quantity: bpy.props.EnumProperty(name="Quantity", description="Which light is written", items=QUANTITIES, default="irradiance")
+    target: bpy.props.EnumProperty(name="Target", description="What the result is written to", items=TARGETS, default=DEFAULT["target"])
+    quantity: bpy.props.EnumProperty(name="Quantity", description="Which light is written", items=QUANTITIES, default=DEFAULT["quantity"])
     selection_only: bpy.props.BoolProperty(
         name="Selected Only", description="Bake the selected objects; otherwise every mesh object that is rendered", default=True
     )
     resolution: bpy.props.IntProperty(
-        name="Resolution", description="Width and height of each texture", default=256, min=1, max=16384, soft_max=4096, subtype="PIXEL"
+        name="Resolution", description="Width and height of each texture", default=DEFAULT["resolution"], min=1, max=16384, soft_max=4096
     )
-    atlas: bpy.props.BoolProperty(name="One Atlas", description="Pack all objects into one texture instead of one each", default=False)
+    atlas: bpy.props.BoolProperty(
+        name="One Atlas", description="Pack all objects into one texture instead of one each", default=DEFAULT["atlas"]
+    )
     uv_layer: bpy.props.StringProperty(
         name="UV Layer", description="UV layer to bake into; it must not overlap itself. Empty: one is made for the lightmap", default=""
     )
     margin: bpy.props.IntProperty(
         name="Margin",
         description="Texels by which charts are extended, never into other charts",
-        default=8,
+        default=DEFAULT["margin"],
         min=0,
-        max=256,
-        subtype="PIXEL",
+        max=16384,
+        soft_max=64,
     )
     subsamples: bpy.props.IntProperty(
-        name="Sub-texel Samples",
-        description="Points in each direction of a texel at which its surface is looked up",
-        default=2,
+        name="Points per Texel",
+        description="Points of each texel at which its surface is looked up; more make edges smoother",
+        default=DEFAULT["subsamples"],
         min=1,
-        max=16,
+        max=256,
+        soft_max=16,
     )
-    attribute: bpy.props.StringProperty(name="Attribute", description="Name of the color attribute that is written", default="Adjoint GI")
-    domain: bpy.props.EnumProperty(name="Domain", description="Where the attribute holds its values", items=DOMAINS, default="CORNER")
+    attribute: bpy.props.StringProperty(
+        name="Attribute", description="Name of the color attribute that is written", default=DEFAULT["attribute"]
+    )
+    domain: bpy.props.EnumProperty(
+        name="Domain", description="Where the attribute holds its values", items=DOMAINS, default=DEFAULT["domain"]
+    )
     new_object: bpy.props.BoolProperty(
         name="New Object",
         description="Write the attribute to a copy that carries the evaluated mesh, as needed when modifiers change the mesh",
-        default=False,
+        default=DEFAULT["new_object"],
     )
     folder: bpy.props.StringProperty(
         name="Folder",
@@ -115,6 +125,21 @@ def chosen(scene: bpy.types.Scene) -> Solver | None:
     return registry.method(id) if id else None
 
 
+def own_and_common(solver: Solver) -> tuple[list[str], list[str]]:
+    """Names of the settings that only this method has, and of those that every method has."""
+    common = {f.name for f in dataclasses.fields(Settings)}
+    names = [f.name for f in dataclasses.fields(solver.Settings)]
+    return [n for n in names if n not in common], [n for n in ("min_length", "max_length", "seed") if n in names]
+
+
+def method_label(id: str) -> str:
+    """The label of a method; a file may name one that this version does not know."""
+    try:
+        return registry.method(id).spec.label
+    except SettingsError:
+        return id
+
+
 def settings_of(scene: bpy.types.Scene, method: str) -> Settings:
     """The settings of `method` as `scene` has them; raises `SettingsError` where they contradict each other."""
     return fields.values(getattr(scene.adjoint_gi, group_name(method)), registry.method(method).Settings)
@@ -125,13 +150,13 @@ def request_of(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer | None = 
 
     `view_layer` decides what is selected (the scene's first one by default).
     """
-    from .bake import BakeRequest
-
     state, solver = scene.adjoint_gi, chosen(scene)
     if solver is None:
         raise SettingsError("Method", f"no method is both {state.strategy} and {state.nature}", "Choose another strategy or nature")
     layer = view_layer or scene.view_layers[0]
-    objects = tuple(o.name for o in layer.objects if o.type == "MESH" and o.select_get(view_layer=layer)) if state.selection_only else ()
+    objects = tuple(o.name for o in layer.objects.selected if o.type == "MESH") if state.selection_only else ()
+    if state.selection_only and not objects and state.target != "render":
+        raise SettingsError("Selected Only", "is on, but no mesh object is selected", "Select what to bake, or turn it off in Output")
     return BakeRequest(
         method=solver.spec.id,
         settings=settings_of(scene, solver.spec.id),

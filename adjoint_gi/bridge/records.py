@@ -7,8 +7,10 @@ from collections.abc import Iterable
 
 import bpy
 
-from ..core.errors import Notice
+from ..core.errors import AdjointError, Notice
 from ..core.solution import Solution
+
+__all__ = ["AdjointError", "Notice", "clear", "store"]  # operators and panels may not import the core
 
 SEVERITIES = (("info", "Info", "", 0), ("warning", "Warning", "", 1), ("error", "Error", "", 2))
 

@@ -173,3 +173,35 @@ def test_numbers_as_people_read_them():
     assert [text.duration(s) for s in (0.1234, 9.999, 59.96, 245, 7380)] == ["0.12 s", "10.0 s", "1 min 00 s", "4 min 05 s", "2 h 03 min"]
     assert [text.count(n) for n in (950, 12300, 4_560_000, 1_200_000_000)] == ["950", "12,300", "4.56 million", "1.20 billion"]
     assert (text.watts(0.012345), text.percent(0.00123)) == ("0.01235 W", "0.12 %")
+
+
+def test_the_check_looks_again_only_after_a_change(state, monkeypatch):
+    seen = []
+    monkeypatch.setattr(check, "preflight", lambda context, request: seen.append(request) or [])
+    square()
+    check.refresh()
+    assert len(seen) == 1
+    bpy.context.view_layer.update()
+    check._Cache.dirty = False
+    check.refresh()
+    assert len(seen) == 1
+    state.resolution += 1
+    check.refresh()
+    assert len(seen) == 2
+    bpy.data.objects["Square"].location.x += 1
+    bpy.context.view_layer.update()
+    check.refresh()
+    assert len(seen) == 3
+
+
+def test_the_check_waits_until_nothing_changes_any_more(state, monkeypatch):
+    monkeypatch.setattr(check, "refresh", lambda: pytest.fail("looked too early"))
+    check._changed()
+    assert 0 < check._look() <= check.QUIET + 0.02
+
+
+def test_nothing_selected_is_said_before_bake(state):
+    check.refresh()
+    (notice,) = check.now(bpy.context)
+    assert (notice.severity, notice.object) == ("error", "Selected Only")
+    assert bpy.ops.adjoint_gi.bake() == {"CANCELLED"}

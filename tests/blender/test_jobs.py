@@ -1,0 +1,311 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The background job: its states, what it writes and when, and what happens to it when the scene changes under it.
+
+Timers do not fire without a window, so the tests call what the timer calls.
+"""
+
+import threading
+import time
+import types
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.bridge import jobs
+from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.driver import Driver
+from adjgi.adjoint_gi.core.errors import AdjointError, TargetError
+from adjgi.adjoint_gi.core.receivers import SurfaceReceivers
+from adjgi.adjoint_gi.core.world import World
+from adjgi.tests.blender.fakes import Fake, FakeSettings, fake_method, square
+
+LIMIT = 20.0  # seconds that any wait in these tests may take
+
+
+class FakeBake:
+    """A bake whose driver is real and whose writing is a list."""
+
+    refuse = None  # an error that the next write raises
+
+    def __init__(self, context, request):
+        b = SceneBuilder()
+        b.quad("Square", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
+        receivers = SurfaceReceivers("texels", np.arange(5), np.zeros(4), np.full(4, 0.2), np.full(4, 0.2))
+        self.driver = Driver(Fake(), World(b.build()), receivers, request.settings)
+        self.written = []
+
+    def write(self, solution):
+        if FakeBake.refuse is not None:
+            raise FakeBake.refuse
+        self.written.append(solution)
+
+    def report(self):
+        return {"files": ["result.exr"]}
+
+
+@pytest.fixture
+def scene(registered, monkeypatch):
+    with fake_method(registered):
+        monkeypatch.setattr(jobs, "new_bake", FakeBake)
+        monkeypatch.setattr(FakeBake, "refuse", None)
+        monkeypatch.setattr(jobs.preferences, "refresh_seconds", lambda: 0.2)
+        square()
+        bpy.ops.ed.undo_push(message="Start")
+        yield bpy.context.scene
+        jobs.forget()
+    assert not [t for t in threading.enumerate() if t.name == "adjoint_gi_driver"]
+
+
+def request(steps=10**6, pause=0.01, **values):
+    settings = FakeSettings(steps=steps, pause=pause, **values)
+    return types.SimpleNamespace(method="fake", settings=settings, target="texture", quantity="irradiance", objects=("Square",))
+
+
+def start(**values):
+    return jobs.start(bpy.context, request(**values))
+
+
+def ticks(until, seconds=LIMIT):
+    """Tick like the timer until `until()` holds."""
+    end = time.monotonic() + seconds
+    while not until():
+        assert time.monotonic() < end, "it never came to that"
+        jobs.tick()
+        time.sleep(0.02)
+
+
+def result():
+    return bpy.context.scene.adjoint_gi.result
+
+
+def test_it_finishes_writes_once_and_notes_the_numbers(scene):
+    job = start(steps=5)
+    assert bpy.app.timers.is_registered(jobs._tick)
+    ticks(lambda: not job.active)
+    assert (job.state, job.notices, job.solution) == ("finished", [], None)
+    assert [s.partial for s in job.bake.written] == [False]
+    r = result()
+    assert (r.method, r.partial, r.applied, r.files, r.target) == ("fake", False, True, "result.exr", "texture")
+    assert list(r.mean) == pytest.approx([3, 6, 9])
+    assert jobs._tick() is None  # the timer ends
+
+
+def test_partial_results_are_written_while_it_runs_but_seldom(scene):
+    job = start(pause=0.002)
+    began = time.monotonic()
+    ticks(lambda: len(job.bake.written) >= 2)
+    assert time.monotonic() - began >= 0.4
+    assert all(s.partial for s in job.bake.written)
+    assert result().method == ""  # the numbers come at the end
+
+
+def test_stop_keeps_the_partial_result_and_continue_goes_on(scene):
+    job = start(steps=300, pause=0.005)
+    ticks(lambda: job.bake.driver.fraction > 0.1)
+    began = time.monotonic()
+    jobs.stop()
+    assert time.monotonic() - began < 1.0
+    assert job.state == "stopped"
+    assert job.bake.written[-1].partial
+    assert result().partial and result().applied
+    at = job.bake.driver.fraction
+    jobs.resume()
+    assert job.bake.driver.fraction >= at
+    ticks(lambda: not job.active)
+    assert (job.state, result().partial) == ("finished", False)
+    assert not job.bake.written[-1].partial
+
+
+def test_stop_before_the_first_step_says_so(scene):
+    job = start(pause=0.3)
+    jobs.stop()
+    ticks(lambda: not job.active)
+    assert job.state == "stopped"
+    if not job.bake.written:
+        assert "before the first result" in job.notices[0].reason
+
+
+def test_a_second_start_is_refused(scene):
+    job = start()
+    with pytest.raises(AdjointError, match="another bake is running"):
+        start()
+    assert jobs.current() is job and job.active
+    assert not bpy.ops.adjoint_gi.bake.poll()
+
+
+def test_continue_without_a_stopped_bake_is_refused(scene):
+    with pytest.raises(AdjointError, match="no stopped bake"):
+        jobs.resume()
+    job = start(steps=2)
+    ticks(lambda: not job.active)
+    with pytest.raises(AdjointError, match="no stopped bake"):
+        jobs.resume()
+
+
+def test_a_failing_method_says_why_and_its_partial_result_can_be_written(scene):
+    job = start(steps=10, mode="fails")
+    ticks(lambda: not job.active)
+    assert job.state == "failed"
+    assert str(job.notices[0]) == "Fake: fails on purpose. Choose Fine"
+    assert job.solution is not None and job.solution.partial
+    assert bpy.ops.adjoint_gi.write() == {"FINISHED"}
+    assert len(job.bake.written) == 1
+
+
+def test_an_unexpected_exception_ends_the_job(scene):
+    job = start()
+    FakeBake.refuse = ZeroDivisionError("by zero")
+    ticks(lambda: not job.active)
+    assert job.state == "failed"
+    assert "ZeroDivisionError: by zero" in str(job.notices[0])
+
+
+@pytest.mark.parametrize("change", ["delete", "edit", "edit mode", "scene"])
+def test_changed_objects_get_nothing_and_the_result_is_kept_as_a_file(scene, change, tmp_path, monkeypatch):
+    monkeypatch.setattr(jobs.kept, "folder", lambda: tmp_path)
+    job = start(steps=60, pause=0.005)
+    square = bpy.data.objects["Square"]
+    if change == "delete":
+        bpy.data.objects.remove(square)
+    elif change == "edit":
+        square.data.vertices[0].co.z = 1.0
+    elif change == "edit mode":
+        bpy.ops.object.mode_set(mode="EDIT")
+    else:
+        bpy.data.scenes.new("Other")
+        bpy.data.scenes.remove(scene)
+    ticks(lambda: not job.active)
+    assert job.state == "finished"
+    words = " ".join(map(str, job.notices))
+    assert {"delete": "deleted", "edit": "edited", "edit mode": "Edit Mode", "scene": "Scene"}[change] in words
+    assert "kept in" in words
+    assert not [s for s in job.bake.written if not s.partial]
+    (file,) = tmp_path.iterdir()
+    with np.load(file, allow_pickle=False) as arrays:
+        np.testing.assert_allclose(arrays["indirect"][0], [2, 4, 6])
+    if change != "scene":
+        assert not result().applied and result().files == str(file)
+    if change == "edit mode":
+        bpy.ops.object.mode_set(mode="OBJECT")
+        assert bpy.ops.adjoint_gi.write() == {"FINISHED"}
+        assert result().applied and not job.bake.written[-1].partial
+
+
+def test_renaming_is_no_change(scene):
+    job = start(steps=30, pause=0.005)
+    bpy.data.objects["Square"].name = "Round"
+    bpy.data.objects["Round"].data.name = "Mesh"
+    ticks(lambda: not job.active)
+    assert (job.state, job.notices) == ("finished", [])
+
+
+def test_a_target_that_refuses_is_named(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(jobs.kept, "folder", lambda: tmp_path)
+    job = start(steps=2)
+    FakeBake.refuse = TargetError("Image", "is linked", "Make it local")
+    ticks(lambda: not job.active)
+    assert "Image: is linked. Make it local" in str(job.notices[0])
+    assert len(list(tmp_path.iterdir())) == 1
+    FakeBake.refuse = None
+    assert bpy.ops.adjoint_gi.write() == {"FINISHED"}
+    assert result().applied
+
+
+def test_loading_a_file_cancels_within_a_second(scene):
+    job = start()
+    time.sleep(0.1)
+    began = time.monotonic()
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    assert time.monotonic() - began < 2.0
+    assert (jobs.current(), job.state) == (None, "cancelled")
+    assert not bpy.app.timers.is_registered(jobs._tick)
+    jobs.tick()
+
+
+def test_saving_does_not_touch_it(scene, tmp_path):
+    job = start()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    assert job.active
+    ticks(lambda: job.bake.driver.version > 0)
+
+
+def test_undo_and_redo_fifty_times(scene):
+    job = start(pause=0.001)
+    obj = bpy.data.objects["Square"]
+    for i in range(5):
+        obj.location.x = i
+        bpy.ops.ed.undo_push(message="Move")
+        obj = bpy.data.objects["Square"]
+    for i in range(50):
+        (bpy.ops.ed.undo if i % 10 < 5 else bpy.ops.ed.redo)()
+        jobs.tick()
+    assert job.active and not job.notices
+    jobs.stop()
+    assert job.state == "stopped" and result().applied
+
+
+def test_undo_of_the_baked_object_stops_the_job(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(jobs.kept, "folder", lambda: tmp_path)
+    square("Late")
+    bpy.ops.ed.undo_push(message="Add")
+    r = request()
+    r.objects = ("Late",)
+    job = jobs.start(bpy.context, r)
+    ticks(lambda: job.bake.driver.version > 0)
+    bpy.ops.ed.undo()
+    assert "Late" not in bpy.data.objects
+    assert job.state == "stopped"
+    assert "Late: was deleted" in str(job.notices[0])
+    with pytest.raises(AdjointError, match="was deleted"):
+        jobs.resume()
+
+
+def test_rendering_during_the_job(scene):
+    from adjgi.tests.blender.fakes import camera
+
+    camera()
+    scene.render.engine = "ADJOINT_GI"
+    scene.render.resolution_x = scene.render.resolution_y = 8
+    job = start()
+    bpy.ops.render.render()
+    assert job.active
+    ticks(lambda: job.bake.driver.version > 0)
+
+
+def test_disabling_the_extension_during_the_job(scene, registered):
+    job = start()
+    began = time.monotonic()
+    registered.unregister()
+    assert time.monotonic() - began < 2.0
+    assert job.state == "cancelled" and jobs.current() is None
+    assert not bpy.app.timers.is_registered(jobs._tick)
+    registered.register()
+
+
+def test_operators_stop_and_continue(scene):
+    job = start(steps=200, pause=0.005)
+    ticks(lambda: job.bake.driver.version > 0)
+    assert bpy.ops.adjoint_gi.stop() == {"FINISHED"}
+    assert job.state == "stopped"
+    assert bpy.ops.adjoint_gi.resume() == {"FINISHED"}
+    assert job.active
+    ticks(lambda: not job.active)
+    assert job.state == "finished"
+
+
+def test_the_foreground_bake_does_the_same(scene):
+    shares = []
+    job = jobs.run(bpy.context, request(steps=4, pause=0.0), shares.append)
+    assert (job.state, shares) == ("finished", [0.25, 0.5, 0.75, 1.0])
+    assert not result().partial and result().applied
+    job = jobs.run(bpy.context, request(steps=4, pause=0.0, mode="fails"), shares.append)
+    assert job.state == "failed"
+
+
+def test_kept_files_have_their_own_names(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(jobs.kept, "folder", lambda: tmp_path)
+    job = jobs.run(bpy.context, request(steps=1, pause=0.0), lambda fraction: None)
+    solution = job.bake.written[0]
+    paths = {jobs.kept.save(solution) for _ in range(3)}
+    assert len(paths) == 3 and all(Path(p).is_file() for p in paths)
