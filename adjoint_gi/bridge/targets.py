@@ -1,62 +1,95 @@
-# SPDX-License-Identifier: GPL-3.0-or-later
-"""Remembers the objects a bake is for, without holding them, and tells later whether they are still the same."""
+"""What may be written to: checks of objects and meshes before a bake, and the stored links by which results are found again.
+
+Links live in a custom property of the object, `adjoint_gi_results`: one group for each key (usually the quantity) with the image,
+the name of the owner and the placement in an atlas. Names of datablocks are never used to find a result.
+"""
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import Any
 
 import bpy
-import numpy as np
 
-from ..core.errors import Notice
+from ..core.errors import TargetError
 
-
-@dataclass(frozen=True)
-class Print:
-    """What is remembered of one object; `shape` is a checksum of the positions and faces of its mesh."""
-
-    name: str
-    counts: tuple[int, int, int]
-    shape: int
+RESULTS = "adjoint_gi_results"
 
 
-class Targets:
-    """The prints of some objects by session_uid. An object may be renamed meanwhile; it may not be deleted or edited."""
-
-    def __init__(self, objects: Iterable[bpy.types.Object]) -> None:
-        self._prints = {o.session_uid: Print(o.name, _counts(o.data), _shape(o.data)) for o in objects}
-
-    def problems(self, thorough: bool = True) -> list[Notice]:
-        """Why a result can no longer be written to its objects; empty when it can. Without `thorough`, positions are not compared."""
-        present = {o.session_uid: o for o in bpy.data.objects}
-        out = []
-        for uid, seen in self._prints.items():
-            now = present.get(uid)
-            if now is None:
-                out.append(Notice(seen.name, "was deleted while it was baked", "Undo the deletion or bake again", "error"))
-            elif now.mode == "EDIT":
-                out.append(Notice(now.name, "is in Edit Mode", "Leave Edit Mode, then press Write Result", "error"))
-            elif _counts(now.data) != seen.counts or (thorough and _shape(now.data) != seen.shape):
-                out.append(Notice(now.name, "had its mesh edited while it was baked", "Undo the edit or bake again", "error"))
-        return out
+def check_object(obj: bpy.types.Object) -> None:
+    """Raise TargetError unless `obj` is a mesh object of this file that is not being edited."""
+    if obj.type != "MESH":
+        raise TargetError(obj.name, f"is a {obj.type.lower()} and has no mesh to write to", "Convert it to a mesh")
+    if not obj.is_editable or obj.library is not None:
+        raise TargetError(obj.name, "is linked from another file and cannot keep a result", "Make it local, or bake in its own file")
+    if obj.override_library is not None:
+        raise TargetError(obj.name, "is a library override and cannot keep a result", "Make it local, or bake in its own file")
+    if obj.mode == "EDIT":
+        raise TargetError(obj.name, "is in edit mode", "Leave edit mode first")
 
 
-def mesh_objects(names: Iterable[str], view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
-    """The mesh objects called `names`, or all that are rendered when no name is given."""
-    wanted = set(names)
-    return [o for o in view_layer.objects if o.type == "MESH" and (o.name in wanted if wanted else not o.hide_render)]
+def check_mesh(obj: bpy.types.Object) -> None:
+    """`check_object`, and that the mesh itself may be changed."""
+    check_object(obj)
+    mesh = obj.data
+    if not mesh.is_editable or mesh.library is not None or mesh.override_library is not None:
+        raise TargetError(
+            obj.name,
+            f'its mesh "{mesh.name}" is linked from another file, where changes would be lost',
+            "Make the mesh local (Make Single User)",
+        )
+    if any(other.data == mesh and other.mode == "EDIT" for other in bpy.data.objects if other.type == "MESH"):
+        raise TargetError(obj.name, f'its mesh "{mesh.name}" is in edit mode', "Leave edit mode first")
 
 
-def _counts(mesh: bpy.types.Mesh) -> tuple[int, int, int]:
-    return len(mesh.vertices), len(mesh.loops), len(mesh.polygons)
+def sharing(obj: bpy.types.Object) -> list[bpy.types.Object]:
+    """The other objects that use the same mesh."""
+    return [other for other in bpy.data.objects if other.data == obj.data and other != obj]
 
 
-def _shape(mesh: bpy.types.Mesh) -> int:
-    """Checksum of vertex positions and of the vertices of all corners."""
-    positions = np.empty(3 * len(mesh.vertices), np.float32)
-    mesh.vertices.foreach_get("co", positions)
-    corners = np.empty(len(mesh.loops), np.int32)
-    mesh.loops.foreach_get("vertex_index", corners)
-    return zlib.crc32(corners.tobytes(), zlib.crc32(positions.tobytes()))
+def link(obj: bpy.types.Object, key: str) -> Any | None:
+    """The stored group of `key` if `obj` owns it; a copy of an object carries links that are its original's."""
+    group = obj.get(RESULTS)
+    if group is None or key not in group:
+        return None
+    entry = group[key]
+    if entry.get("owner") == obj.name:
+        return entry
+    # Renamed: nobody else has this datablock, so it is still ours. Copied: the original has it.
+    made = _datablocks(obj, key)
+    shared = any(made & _datablocks(other, key) for other in bpy.data.objects if other != obj)
+    return None if shared else entry
+
+
+def store(obj: bpy.types.Object, key: str, **values: Any) -> None:
+    """Replace the stored group of `key`."""
+    if obj.get(RESULTS) is None:
+        obj[RESULTS] = {}
+    entry = {k: v for k, v in values.items() if not isinstance(v, bpy.types.ID)}
+    obj[RESULTS][key] = {"owner": obj.name, **entry}
+    for k, v in values.items():
+        if isinstance(v, bpy.types.ID):
+            obj[RESULTS][key][k] = v  # an ID inside a dict literal is refused by older versions
+
+
+def forget(obj: bpy.types.Object, keys: Sequence[str] | None = None) -> None:
+    """Drop the links of `keys` (all when None), and the property itself when nothing is left in it."""
+    group = obj.get(RESULTS)
+    if group is None:
+        return
+    for key in list(group.keys()) if keys is None else keys:
+        if key in group:
+            del group[key]
+    if not group.keys():
+        del obj[RESULTS]
+
+
+def keys(obj: bpy.types.Object) -> list[str]:
+    """Keys of all stored results."""
+    group = obj.get(RESULTS)
+    return list(group.keys()) if group is not None else []
+
+
+def _datablocks(obj: bpy.types.Object, key: str) -> set[bpy.types.ID]:
+    group = obj.get(RESULTS)
+    return {v for v in group[key].values() if isinstance(v, bpy.types.ID)} if group is not None and key in group else set()

@@ -25,8 +25,7 @@ def components(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
             if np.array_equal(shorter, root):
                 break
             root = shorter
-    first, labels = np.unique(root, return_inverse=True)
-    assert len(first) <= count
+    _, labels = np.unique(root, return_inverse=True)
     return labels.reshape(-1)
 
 
@@ -45,6 +44,18 @@ def edge_pairs(corner_id: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return owner[:-1][same], owner[1:][same]
 
 
+def weld(vertices: np.ndarray) -> np.ndarray:
+    """(nv,) int64: equal for vertices (nv, 3) at exactly the same place, so that split vertices do not part a surface."""
+    place = np.ascontiguousarray(np.asarray(vertices, np.float64) + 0.0).view(np.uint64)  # + 0 turns -0 into 0
+    ids = np.zeros(len(place), np.int64)
+    for k in range(3):
+        _, column = np.unique(place[:, k], return_inverse=True)
+        column = column.reshape(-1)
+        _, ids = np.unique(ids * (int(column.max(initial=0)) + 1) + column, return_inverse=True)
+        ids = ids.reshape(-1).astype(np.int64)
+    return ids
+
+
 def uv_corner_ids(triangles: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """(nt, 3) int64: equal for corners with the same vertex of `triangles` (nt, 3) and the same UV in `uv` (nt, 3, 2) float32."""
     bits = np.ascontiguousarray(uv + np.float32(0), np.float32).view(np.uint32).astype(np.uint64)  # + 0 turns -0 into 0
@@ -56,5 +67,8 @@ def uv_corner_ids(triangles: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 
 def uv_charts(triangles: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """(nt,) int64 chart of each triangle: triangles that share an edge both on the mesh and in UV space are of one chart."""
+    """(nt,) int64 chart of each triangle: triangles that share an edge both on the mesh and in UV space are of one chart.
+
+    `triangles` (nt, 3) holds vertex indices, welded where split vertices shall not part a surface.
+    """
     return components(len(triangles), *edge_pairs(uv_corner_ids(triangles, uv)))

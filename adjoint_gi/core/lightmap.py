@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .charts import uv_charts
+from .charts import uv_charts, weld
 from .errors import Notice, TargetError
 from .receivers import SurfaceReceivers
 from .world import World
@@ -36,6 +36,7 @@ class Lightmap:
     chart       (h, w) int32, chart of the texel's first point, -1 outside of all charts
     charts      number of charts (connected UV islands) of all objects
     overlapping number of texels claimed by two triangles at different places of the scene
+    clashing    (k,) int32 world triangles that take part in this
     tiny_charts number of charts that own fewer than two texels
     outside     number of triangles that reach out of the image
     unusable    number of triangles whose UV coordinates are not numbers
@@ -50,6 +51,7 @@ class Lightmap:
     chart: np.ndarray
     charts: int
     overlapping: int
+    clashing: np.ndarray
     tiny_charts: int
     outside: int
     unusable: int
@@ -189,6 +191,7 @@ def rasterize(
         chart=chart_map.reshape(height, width),
         charts=charts,
         overlapping=counts["overlap"],
+        clashing=triangle[problems["overlap"]],
         tiny_charts=counts["tiny"],
         outside=counts["outside"],
         unusable=counts["unusable"],
@@ -224,7 +227,8 @@ def _gather(
             )
         layer = np.asarray(obj.uvs[name])
         place = placement.get(index, Placement())
-        labels = uv_charts(world.scene.triangles[obj.triangles], layer)
+        mesh = world.scene.triangles[obj.triangles] - obj.first_vertex
+        labels = uv_charts(weld(world.scene.vertices[obj.first_vertex : obj.first_vertex + obj.vertex_count])[mesh], layer)
         triangle.append(np.arange(obj.first_triangle, obj.first_triangle + obj.triangle_count, dtype=np.int32))
         uv.append(layer.astype(np.float64) * place.scale + place.offset)
         chart.append(labels + charts)

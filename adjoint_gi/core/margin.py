@@ -17,7 +17,7 @@ def fill_margin(image: np.ndarray, covered: np.ndarray, width: int) -> tuple[np.
     height, columns = covered.shape
     source = np.where(covered, np.arange(height * columns).reshape(height, columns), -1)
     if width > 0 and covered.any():
-        rows, cols = np.nonzero(~covered)
+        rows, cols = np.nonzero(~covered & _near(covered, width))
         left, right = _neighbours(covered)
         for at in range(0, len(rows), BLOCK):
             r, c = rows[at : at + BLOCK], cols[at : at + BLOCK]
@@ -26,6 +26,17 @@ def fill_margin(image: np.ndarray, covered: np.ndarray, width: int) -> tuple[np.
     grown = (source >= 0) & ~covered
     out[grown] = out.reshape(-1, out.shape[-1])[source[grown]]
     return out, source
+
+
+def _near(covered: np.ndarray, width: int) -> np.ndarray:
+    """(h, w) bool: whether the square of `width` pixels around a pixel holds a covered one, by a table of sums."""
+    height, columns = covered.shape
+    sums = np.zeros((height + 1, columns + 1), np.int64)
+    sums[1:, 1:] = covered.cumsum(axis=0, dtype=np.int64).cumsum(axis=1)
+    y0, y1 = np.maximum(np.arange(height) - width, 0), np.minimum(np.arange(height) + width + 1, height)
+    x0, x1 = np.maximum(np.arange(columns) - width, 0), np.minimum(np.arange(columns) + width + 1, columns)
+    rows = sums[y1] - sums[y0]
+    return rows[:, x1] > rows[:, x0]
 
 
 def _neighbours(covered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

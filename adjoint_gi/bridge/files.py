@@ -1,0 +1,69 @@
+"""Names and folders of files: any object name becomes a name that every system accepts, and nothing leaves the chosen folder."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import bpy
+
+from ..core.errors import TargetError, WriteError
+
+LONGEST = 80  # characters of a name before the hash; file systems allow 255 bytes
+DEVICES = {"con", "prn", "aux", "nul", "conin$", "conout$", *(f"{d}{i}" for d in ("com", "lpt") for i in "0123456789\u00b9\u00b2\u00b3")}
+
+
+def safe_name(name: str) -> str:
+    """A file name without extension: the cleaned `name`, and a hash of it, so that different names never meet in one file.
+
+    "Cube" and "cube" differ in the hash too, because some systems take them for the same file. The same name always gives the same
+    result, on every system.
+    """
+    digest = hashlib.sha256(name.encode("utf-8", "surrogateescape")).hexdigest()[:8]
+    clean = bpy.path.clean_name(name)[:LONGEST].strip(" ._-")
+    if clean.lower().split(".")[0] in DEVICES:
+        clean = "_" + clean
+    return f"{clean or 'unnamed'}-{digest}"
+
+
+def output_folder(text: str, create: bool = True) -> Path:
+    """The absolute folder that `text` names, "//" meaning beside the .blend file.
+
+    Raises TargetError for an empty or relative path or an unsaved file, WriteError when the folder cannot be made.
+    """
+    if not text.strip():
+        raise TargetError("Output folder", "is not set", "Choose a folder")
+    if "\0" in text:
+        raise TargetError("Output folder", "holds a null character", "Choose another folder")
+    if text.startswith("//") and not bpy.data.filepath:
+        raise TargetError(
+            "Output folder", f'"{text}" is relative to the .blend file, which is not saved yet', "Save the file first or choose a folder"
+        )
+    folder = Path(os.path.expanduser(bpy.path.abspath(text)))
+    if not folder.is_absolute():
+        raise TargetError("Output folder", f'"{text}" is not an absolute path', "Choose an absolute folder, or one that starts with //")
+    folder = Path(os.path.normpath(folder))
+    try:
+        if create:
+            folder.mkdir(parents=True, exist_ok=True)
+        if not folder.is_dir():
+            raise WriteError(str(folder), "is not a folder", "Choose another folder")
+    except OSError as error:
+        raise WriteError(str(folder), f"cannot be made ({error.strerror or error})", "Choose another folder") from error
+    return folder
+
+
+def output_file(folder: Path, name: str, suffix: str) -> Path:
+    """`folder` / safe_name(name) + suffix, such as ".exr"."""
+    return folder / (safe_name(name) + suffix)
+
+
+def relative(path: Path) -> str:
+    """How a file is stored in the .blend: relative to it where that is possible, so that both can move together."""
+    if bpy.data.filepath:
+        try:
+            return bpy.path.relpath(str(path))
+        except ValueError:  # another drive on Windows
+            return str(path)
+    return str(path)
