@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One bake from Blender's scene to Blender's data and files: the same for the panel, the command line and scripts.
+
+    bake = Bake(context, request)      # refuses, or extracts, places receivers and makes the driver
+    bake.driver.run()                  # or start(), stop(), resume() in the background
+    bake.write(bake.driver.solution())
+    bake.report()
+
+Everything here belongs on the main thread; only the driver's own thread computes, on copied arrays.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..core.driver import Driver
+from ..core.errors import Notice, TargetError
+from ..core.exr import write_exr
+from ..core.lightmap import Lightmap, Placement, join, rasterize
+from ..core.margin import fill_margin
+from ..core.png import write_png
+from ..core.receivers import CameraReceivers, Receivers
+from ..core.scene import SceneArrays
+from ..core.solution import Solution
+from ..core.vertices import VertexMap, vertex_receivers
+from ..core.world import World
+from . import files, report
+from .extract import extract
+from .pictures import exposure, write_picture
+from .preflight import inspect, look, ordered, picture_size, preflight, receiving, target_objects
+from .request import BakeRequest, raise_first
+from .write_attribute import write_attribute
+from .write_image import write_image
+
+__all__ = ["Bake", "BakeRequest", "preflight"]
+
+ABOUT = "adjoint_gi_about"  # custom property of images and meshes that says what a result is
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """One lightmap image: the objects that share it, its texels and its stretch of the receivers."""
+
+    name: str
+    uids: tuple[int, ...]
+    lightmap: Lightmap
+    part: slice
+    uv_layer: str
+    placement: dict[str, Placement]
+
+
+class Bake:
+    """See the head of this file.
+
+    notices   everything that was found before the solve, errors excluded, for they refuse it
+    written   what `write` has written last: names of datablocks and files
+    files     paths of the files among them
+    """
+
+    def __init__(self, context: bpy.types.Context, request: BakeRequest) -> None:
+        """Raises `AdjointError` with object, reason and remedy when the bake is refused; then nothing has been changed."""
+        self.request = request
+        self.written: list[str] = []
+        self.files: list[str] = []
+        self.scene_name = context.scene.name
+
+        # Step 1: refuse what cannot work, before anything is touched.
+        notices = look(context, request)
+        raise_first(notices)
+        arrays = self._extract(context)
+        world = World(arrays)
+        notices = ordered([*notices, *inspect(world, request)])
+        raise_first(notices)
+
+        # Step 2: UV layers that are missing are made; then the scene has to be read again.
+        self._placement: dict[str, Placement] = {}
+        self._uv_layer = request.uv_layer
+        if request.target == "texture" and not request.uv_layer and self._make_layers(context):
+            world = World(self._extract(context))
+
+        # Step 3: receivers and the driver.
+        self.notices = [n for n in notices if n.severity != "error"]
+        self._sheets: list[Sheet] = []
+        self._vertices: VertexMap | None = None
+        self.transparent = bool(context.scene.render.film_transparent)
+        receivers = self._receivers(world)
+        self.notices = ordered(self.notices)
+        self.driver = Driver(request.solver, world, receivers, request.settings)
+
+    @property
+    def world(self) -> World:
+        """The world that is solved."""
+        return self.driver.world
+
+    def write(self, solution: Solution) -> list[str]:
+        """Write `solution` where it was asked for and read it back; returns the names of datablocks and paths of files.
+
+        While the driver runs, only datablocks are refreshed. A partial result is labelled so, in file names too. Raises
+        `TargetError` or `WriteError`.
+        """
+        live = self.driver.state == "running"
+        folder = files.output_folder(self.request.output) if self.request.output and not live else None
+        write = {"texture": self._write_textures, "attribute": self._write_attributes, "render": self._write_picture}
+        datablocks, paths = write[self.request.target](solution, folder)
+        self.files = [str(p) for p in paths]
+        self.written = [*datablocks, *self.files]
+        return self.written
+
+    def report(self) -> dict[str, Any]:
+        """Settings, seed, times, rays, energy balance, warnings, files, versions and flux numbers, ready for JSON."""
+        return report.of_bake(self)
+
+    # ---- before the solve
+
+    def _extract(self, context: bpy.types.Context) -> SceneArrays:
+        depsgraph = context.evaluated_depsgraph_get()
+        return extract(depsgraph, context.scene, picture_size(context.scene, self.request))
+
+    def _make_layers(self, context: bpy.types.Context) -> bool:
+        """Make our UV layer on the objects that lack it; whether any mesh changed."""
+        from . import lightmap_uv
+
+        objects = target_objects(context, self.request)
+        made = lightmap_uv.ensure(objects, self.request)
+        self._uv_layer = lightmap_uv.LAYER
+        context.view_layer.update()
+        return made
+
+    def _receivers(self, world: World) -> Receivers:
+        request = self.request
+        if request.target == "render":
+            return CameraReceivers(world)
+        indices = receiving(world.scene, request)
+        if request.target == "attribute":
+            self._vertices = vertex_receivers(world, indices, request.domain)
+            return self._vertices.receivers
+        groups = [indices] if request.atlas else [[i] for i in indices]
+        lightmaps = []
+        for group in groups:
+            placement = {
+                i: self._placement[world.scene.objects[i].source] for i in group if world.scene.objects[i].source in self._placement
+            }
+            lightmap = rasterize(world, group, self._uv_layer, request.resolution, request.subsamples, placement)
+            self.notices += lightmap.warnings
+            lightmaps.append((group, lightmap))
+        receivers, parts = join([lightmap.receivers for _, lightmap in lightmaps])
+        for (group, lightmap), part in zip(lightmaps, parts, strict=True):
+            objects = [world.scene.objects[i] for i in group]
+            name = f"{self.scene_name} atlas" if request.atlas else objects[0].source
+            self._sheets.append(Sheet(name, tuple(o.uid for o in objects), lightmap, part, self._uv_layer, self._placement))
+        return receivers
+
+    # ---- after the solve
+
+    def _write_textures(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:
+        """One image for each sheet; with a folder also its EXR, an EXR of all components, and a PNG to look at."""
+        quantity = self.request.quantity
+        values = solution.quantity(quantity)
+        datablocks, paths = [], []
+        for sheet in self._sheets:
+            objects = find_objects(sheet.uids, sheet.name)
+            image, coverage = sheet_image(sheet, values, solution.weight, self.request.margin)
+            stem = f"{sheet.name} {quantity}{' partial' if solution.partial else ''}"
+            file = files.output_file(folder, stem, ".exr") if folder else None
+            made = write_image(
+                objects,
+                quantity,
+                image,
+                coverage,
+                name=f"{sheet.name} {quantity}",
+                uv_layer=sheet.uv_layer,
+                placement=sheet.placement,
+                file=file,
+                folder=folder,
+            )
+            made[ABOUT] = self._about(solution)
+            datablocks.append(f"image {made.name}")
+            if folder:
+                layers = {"coverage": coverage}
+                for name in ("emitted", "direct", "indirect", "albedo"):
+                    layers[name] = sheet_image(sheet, getattr(solution, name), solution.weight, self.request.margin)[0]
+                parts = files.output_file(folder, stem + " components", ".exr")
+                write_exr(
+                    parts, np.concatenate([image, coverage[..., None]], axis=2), layers, folder=folder, metadata=self._metadata(solution)
+                )
+                picture = files.output_file(folder, stem, ".png")
+                write_png(picture, image * exposure(image[coverage > 0]), folder=folder)
+                paths += [file, parts, picture]
+        return datablocks, paths
+
+    def _write_attributes(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:
+        """One colour attribute on each object. Files cannot hold it; the .blend does."""
+        values = solution.quantity(self.request.quantity)
+        valid = (solution.weight > 0).astype(np.float32)[:, None]
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        datablocks = []
+        for index in receiving(self.world.scene, self.request):
+            obj = self.world.scene.objects[index]
+            target = find_objects((obj.uid,), obj.source)[0]
+            covered = self._vertices.spread(index, valid)[:, 0]
+            written = write_attribute(
+                target,
+                self.request.quantity,
+                self.request.domain,
+                self._vertices.spread(index, values),
+                covered,
+                name=self.request.attribute,
+                depsgraph=depsgraph,
+                new_object=self.request.new_object,
+            )
+            written.object.data[ABOUT] = self._about(solution)
+            datablocks.append(f"attribute {written.attribute} of {written.object.name}")
+        return datablocks, []
+
+    def _write_picture(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:
+        """An EXR with all passes and a PNG to look at; while the solve runs there is nowhere to write to."""
+        if folder is None:
+            return [], []
+        stem = f"{self.scene_name} {self.request.method}{' partial' if solution.partial else ''}"
+        return [], write_picture(self.driver, solution, self.transparent, folder, stem, self._metadata(solution))
+
+    def _about(self, solution: Solution) -> str:
+        return json.dumps(self._metadata(solution))
+
+    def _metadata(self, solution: Solution) -> dict[str, str]:
+        """What a result says of itself."""
+        return {
+            "method": solution.method,
+            "quantity": self.request.quantity if solution.measure == "irradiance" else "radiance",
+            "partial": "yes" if solution.partial else "no",
+            "seconds": f"{solution.seconds:.3f}",
+            "settings": json.dumps(solution.settings, sort_keys=True),
+        }
+
+
+def sheet_image(sheet: Sheet, values: np.ndarray, weight: np.ndarray, margin: int) -> tuple[np.ndarray, np.ndarray]:
+    """Image (h, w, 3) float32 of `values` (n, 3) of all receivers, with its margin filled, and coverage (h, w) float32.
+
+    Texels without a sample yet (`weight` 0) count as not covered.
+    """
+    lightmap = sheet.lightmap
+    has = lightmap.image((weight[sheet.part] > 0).astype(np.float32))[..., 0] > 0
+    image, _ = fill_margin(lightmap.image(values[sheet.part]), has, margin)
+    return image, np.where(has, lightmap.share, np.float32(0))
+
+
+def find_objects(uids: tuple[int, ...], name: str) -> list[bpy.types.Object]:
+    """The objects of these session_uids; raises `TargetError` when one is gone."""
+    present = {o.session_uid: o for o in bpy.data.objects}
+    if any(uid not in present for uid in uids):
+        raise TargetError(name, "was deleted while it was baked", "Bake again")
+    return [present[uid] for uid in uids]
+
+
+def run(context: bpy.types.Context, request: BakeRequest, on_step: Callable[[Driver], None] | None = None) -> tuple[Bake, list[Notice]]:
+    """Bake in the foreground and write; returns the bake and its notices. Raises `AdjointError` as `Bake` and `write` do."""
+    bake = Bake(context, request)
+    solution = bake.driver.run(on_step)
+    if solution is None:
+        raise TargetError("Bake", "was stopped before the first result", "Let it run longer")
+    bake.write(solution)
+    return bake, bake.notices

@@ -1,0 +1,265 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Everything that would keep a bake from working, or make its result a surprise, found before it starts.
+
+Two parts: what can be read off Blender's data at once, and what needs the extracted scene. An error refuses the bake.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+
+from ..core import openness
+from ..core.elements import Elements
+from ..core.errors import AdjointError, Notice, TargetError
+from ..core.lightmap import memory as lightmap_memory
+from ..core.receivers import Receivers
+from ..core.resources import SHARE, available_memory, size_text
+from ..core.scene import SceneArrays
+from ..core.settings import Settings
+from ..core.world import World
+from . import targets
+from .extract import extract
+from .extract_camera import render_size
+from .request import RECEIVERS, BakeRequest
+from .write_attribute import check_attribute_target
+
+QUICK = 300_000  # triangles above which the panel's check does not extract the scene
+UV_LAYERS = 8  # as many as Blender keeps on a mesh
+BYTES_A_TRIANGLE = 900  # arrays, rows of the world and Embree's tree, measured on zdm2
+ORDER = {"error": 0, "warning": 1, "info": 2}
+
+
+def preflight(context: bpy.types.Context, request: BakeRequest, thorough: bool = False) -> list[Notice]:
+    """All notices, errors first. Nothing is changed. Big scenes are extracted only when `thorough`."""
+    notices = look(context, request)
+    if any(n.severity == "error" for n in notices):
+        return notices
+    depsgraph = context.evaluated_depsgraph_get()
+    count = triangle_count(depsgraph)
+    if count > QUICK and not thorough:
+        notices.append(Notice("Scene", f"has about {count:,} triangles; they are looked at when the bake starts", "", "info"))
+        notices += _memory_notice("Scene", count * BYTES_A_TRIANGLE)
+        return ordered(notices)
+    arrays = extract(depsgraph, context.scene, picture_size(context.scene, request))
+    return ordered([*notices, *inspect(World(arrays), request)])
+
+
+def ordered(notices: list[Notice]) -> list[Notice]:
+    """Errors, warnings, infos; each sentence once."""
+    return sorted(dict.fromkeys(notices), key=lambda n: ORDER[n.severity])
+
+
+def look(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
+    """What can be told without extracting the scene."""
+    notices = request.problems()
+    scene = context.scene
+    if request.target == "render":
+        if scene.camera is None:
+            notices.append(Notice("Camera", "the scene has no active camera", "Add a camera and make it active", "error"))
+    else:
+        for name in request.objects:
+            notices += _named(context, name)
+        if not any(n.severity == "error" for n in notices):
+            objects = target_objects(context, request)
+            check = _texture_target if request.target == "texture" else _attribute_target
+            for obj in objects:
+                notices += check(obj, request)
+    notices += _output(request)
+    return ordered(notices)
+
+
+def target_objects(context: bpy.types.Context, request: BakeRequest) -> list[bpy.types.Object]:
+    """The mesh objects that `request` means: those named, or all that have faces and are not hidden in render."""
+    wanted = dict.fromkeys(request.objects)
+    if wanted:
+        return [context.view_layer.objects[name] for name in wanted if name in context.view_layer.objects]
+    depsgraph = context.evaluated_depsgraph_get()
+    shown = {i.object.original.session_uid for i in depsgraph.object_instances if not i.is_instance and i.object.type == "MESH"}
+    objects = [o for o in context.view_layer.objects if o.type == "MESH" and o.session_uid in shown and not o.hide_render]
+    return [o for o in objects if len(o.evaluated_get(depsgraph).data.polygons)]
+
+
+def inspect(world: World, request: BakeRequest) -> list[Notice]:
+    """What the extracted scene tells: its own notices, no light, open gaps and turned normals, memory."""
+    arrays = world.scene
+    notices = list(arrays.warnings)
+    receivers = receiving(arrays, request)
+    if request.target == "render":
+        if arrays.camera is None:
+            notices.append(Notice("Camera", "there is no camera that can be used", "Make it perspective or orthographic", "error"))
+    else:
+        found = {arrays.objects[i].source for i in receivers}
+        for name in [n for n in request.objects if n not in found]:
+            reason = "is not in the scene as it is rendered: it has no faces with an area, or is seen only as an instance"
+            notices.append(Notice(name, reason, "Give it faces, show it in renders, or make its instances real", "error"))
+        if not receivers and not request.objects:
+            notices.append(Notice("Scene", "has no mesh object with faces to bake", "Add one, or show one in renders", "error"))
+    if not emits(world):
+        notices.append(Notice("Scene", "nothing emits light; the result is black", "Add a light, an emitting material or a world colour"))
+    notices += openness.notices(world, set(receivers) if request.target != "render" else None)
+    notices += world.shading.substitutions(request.solver.spec.lobes)
+    notices += estimates(world, request, len(receivers))
+    return ordered(notices)
+
+
+def receiving(arrays: SceneArrays, request: BakeRequest) -> list[int]:
+    """Indices of the objects that receive: no instances, for these have no mesh of their own to write to."""
+    own = [i for i, o in enumerate(arrays.objects) if not o.instance]
+    if request.target == "render":
+        return []
+    return [i for i in own if arrays.objects[i].source in request.objects] if request.objects else own
+
+
+def emits(world: World) -> bool:
+    """Whether there is any light at all."""
+    lamps = any(any(light.color) for light in world.scene.lights)
+    return lamps or any(world.scene.background) or bool(world.shading.emissive().any())
+
+
+def estimates(world: World, request: BakeRequest, objects: int) -> list[Notice]:
+    """Receivers, elements and memory of the bake as infos, and an error when the memory is not there."""
+    solver, settings = request.solver, request.settings
+    receivers = Receivers()
+    receivers.kind = RECEIVERS[request.target]
+    needed = 0
+    if request.target == "texture":
+        images = 1 if request.atlas else objects
+        receivers.count = images * request.resolution**2
+        needed += lightmap_memory(request.resolution, request.resolution, request.subsamples)
+        what = f"up to {receivers.count:,} texels"
+    elif request.target == "attribute":
+        receivers.count = sum(world.scene.objects[i].corner_count for i in receiving(world.scene, request))
+        what = f"up to {receivers.count:,} vertices and corners"
+    else:
+        camera = world.scene.camera
+        width, height = (camera.width, camera.height) if camera else (0, 0)
+        receivers.count, receivers.measure = width * height, "radiance"
+        what = f"{width} x {height} pixels"
+    notices = []
+    try:
+        if solver.spec.uses_elements and world.triangle_count:
+            count = element_count(world, settings)
+            what += f", {count:,} elements"
+        needed += solver.memory(world, receivers, settings)
+    except AdjointError as error:
+        notices.append(error.notice)
+    return notices + _memory_notice(solver.spec.label, needed, f"{world.triangle_count:,} triangles, {what}, ")
+
+
+def element_count(world: World, settings: Settings) -> int:
+    """Number of elements that the settings of an element method lead to."""
+    edge = float(getattr(settings, "max_edge", 0.0))
+    target = getattr(settings, "elements", None) or getattr(settings, "target_elements", None)
+    return (Elements(world, edge, int(target)) if target else Elements(world, edge)).count
+
+
+def triangle_count(depsgraph: bpy.types.Depsgraph) -> int:
+    """About how many triangles the evaluated scene has."""
+    known: dict[int, int] = {}
+    total = 0
+    for inst in depsgraph.object_instances:
+        obj = inst.object
+        if obj.type == "MESH":
+            key = obj.data.as_pointer()
+            if key not in known:
+                known[key] = max(0, len(obj.data.loops) - 2 * len(obj.data.polygons))
+            total += known[key]
+    return total
+
+
+def picture_size(scene: bpy.types.Scene, request: BakeRequest) -> tuple[int, int]:
+    """Width and height of the camera picture."""
+    width, height = render_size(scene)
+    return request.width or width, request.height or height
+
+
+def _named(context: bpy.types.Context, name: str) -> list[Notice]:
+    """Whether the object called `name` can be baked to at all."""
+    obj = context.view_layer.objects.get(name)
+    if obj is None:
+        known = name in bpy.data.objects
+        reason = "is not in this view layer, or its collection is excluded" if known else "does not exist"
+        have = ", ".join(o.name for o in context.view_layer.objects if o.type == "MESH") or "none"
+        return [Notice(name, reason, f"Choose of the mesh objects: {have}", "error")]
+    if obj.type != "MESH":
+        return [Notice(name, f"is a {obj.type.lower()}, not a mesh", "Convert it to a mesh", "error")]
+    if obj.hide_render:
+        return [Notice(name, "is hidden in render, so no light reaches it", "Enable it in renders", "error")]
+    return []
+
+
+def _texture_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]:
+    """Whether the UV layer is there or can be made."""
+    mesh = obj.data
+    try:
+        targets.check_object(obj)
+    except TargetError as error:
+        return [error.notice]
+    if request.uv_layer:
+        if request.uv_layer not in mesh.uv_layers:
+            have = ", ".join(f'"{layer.name}"' for layer in mesh.uv_layers) or "none"
+            reason = f'has no UV layer "{request.uv_layer}" (layers: {have})'
+            return [Notice(obj.name, reason, "Choose one of its layers, or leave it empty to have one made", "error")]
+        return []
+    if has_own_layer(mesh):
+        return []
+    try:
+        targets.check_mesh(obj)
+    except TargetError as error:
+        return [replace(error.notice, remedy=f"{error.notice.remedy}, or name one of its UV layers")]
+    if len(mesh.uv_layers) >= UV_LAYERS:
+        reason = f"has {len(mesh.uv_layers)} UV layers already, and Blender keeps no more than {UV_LAYERS}"
+        return [Notice(obj.name, reason, "Remove one, or name the one to bake into", "error")]
+    return [Notice(obj.name, "has no lightmap UV layer yet; one is made", "", "info")]
+
+
+def has_own_layer(mesh: bpy.types.Mesh) -> bool:
+    """Whether the mesh has the UV layer that was made for lightmaps."""
+    from .lightmap_uv import LAYER
+
+    return LAYER in mesh.uv_layers
+
+
+def _attribute_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]:
+    """Whether the mesh can hold the attribute."""
+    try:
+        check_attribute_target(obj, bpy.context.evaluated_depsgraph_get(), request.new_object)
+    except TargetError as error:
+        return [error.notice]
+    return []
+
+
+def _output(request: BakeRequest) -> list[Notice]:
+    """Whether files can be written where they are wanted, and whether anything outlives the session."""
+    if not request.output:
+        if request.target == "render":
+            return [Notice("Output", "no folder is given for the picture", "Choose a folder", "error")]
+        if not bpy.data.filepath:
+            reason = "the file was never saved and no folder is given: the result is kept in this session only"
+            return [Notice("Output", reason, "Save the file or choose a folder", "info")]
+        return []
+    folder = Path(request.output)
+    try:
+        parent = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    except (OSError, ValueError) as error:
+        return [Notice(request.output, f"cannot be a folder ({error})", "Choose another folder", "error")]
+    if not parent.is_dir():
+        return [Notice(str(parent), "is a file, not a folder", "Choose another folder", "error")]
+    if not os.access(parent, os.W_OK | os.X_OK):
+        return [Notice(str(parent), "there is no permission to write there", "Choose a folder you may write to", "error")]
+    return []
+
+
+def _memory_notice(label: str, needed: int, before: str = "") -> list[Notice]:
+    free = available_memory()
+    said = f"{before}about {size_text(needed)} of memory"
+    if free is None:
+        return [Notice(label, said, "", "info")]
+    if needed > SHARE * free:
+        remedy = "Lower the resolution or the number of elements, or choose another method"
+        return [Notice(label, f"needs {said}, and {size_text(free)} are free", remedy, "error")]
+    return [Notice(label, f"{said} of {size_text(free)} that are free", "", "info")]
