@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,16 +25,18 @@ from ..core.errors import Notice, TargetError
 from ..core.exr import write_exr
 from ..core.lightmap import Lightmap, Placement, join, rasterize
 from ..core.margin import fill_margin
+from ..core.pack import place_objects
 from ..core.png import write_png
 from ..core.receivers import CameraReceivers, Receivers
 from ..core.scene import SceneArrays
 from ..core.solution import Solution
 from ..core.vertices import VertexMap, vertex_receivers
 from ..core.world import World
-from . import files, report
+from . import files, report, targets
 from .extract import extract
+from .lightmap_uv import check_uv_layer, find_uv_layer, make_lightmap_uv
 from .pictures import exposure, write_picture
-from .preflight import inspect, look, ordered, picture_size, preflight, receiving, target_objects
+from .preflight import has_own_layer, inspect, look, ordered, picture_size, preflight, receiving, target_objects
 from .request import BakeRequest, raise_first
 from .write_attribute import write_attribute
 from .write_image import write_image
@@ -52,7 +54,7 @@ class Sheet:
     uids: tuple[int, ...]
     lightmap: Lightmap
     part: slice
-    uv_layer: str
+    uv_layers: tuple[str, ...]
     placement: dict[str, Placement]
 
 
@@ -80,8 +82,6 @@ class Bake:
         raise_first(notices)
 
         # Step 2: UV layers that are missing are made; then the scene has to be read again.
-        self._placement: dict[str, Placement] = {}
-        self._uv_layer = request.uv_layer
         if request.target == "texture" and not request.uv_layer and self._make_layers(context):
             world = World(self._extract(context))
 
@@ -90,7 +90,7 @@ class Bake:
         self._sheets: list[Sheet] = []
         self._vertices: VertexMap | None = None
         self.transparent = bool(context.scene.render.film_transparent)
-        receivers = self._receivers(world)
+        receivers = self._receivers(context, world)
         self.notices = ordered(self.notices)
         self.driver = Driver(request.solver, world, receivers, request.settings)
 
@@ -124,16 +124,18 @@ class Bake:
         return extract(depsgraph, context.scene, picture_size(context.scene, self.request))
 
     def _make_layers(self, context: bpy.types.Context) -> bool:
-        """Make our UV layer on the objects that lack it; whether any mesh changed."""
-        from . import lightmap_uv
-
-        objects = target_objects(context, self.request)
-        made = lightmap_uv.ensure(objects, self.request)
-        self._uv_layer = lightmap_uv.LAYER
-        context.view_layer.update()
+        """Make our UV layer on the meshes that lack it; whether any mesh changed."""
+        made = False
+        for obj in target_objects(context, self.request):
+            if not has_own_layer(obj.data):
+                size = self.request.resolution
+                make_lightmap_uv(obj, resolution=size, padding=min(4, max(1, size // 128)))
+                made = True
+        if made:
+            context.view_layer.update()
         return made
 
-    def _receivers(self, world: World) -> Receivers:
+    def _receivers(self, context: bpy.types.Context, world: World) -> Receivers:
         request = self.request
         if request.target == "render":
             return CameraReceivers(world)
@@ -142,20 +144,32 @@ class Bake:
             self._vertices = vertex_receivers(world, indices, request.domain)
             return self._vertices.receivers
         groups = [indices] if request.atlas else [[i] for i in indices]
-        lightmaps = []
-        for group in groups:
-            placement = {
-                i: self._placement[world.scene.objects[i].source] for i in group if world.scene.objects[i].source in self._placement
-            }
-            lightmap = rasterize(world, group, self._uv_layer, request.resolution, request.subsamples, placement)
-            self.notices += lightmap.warnings
-            lightmaps.append((group, lightmap))
-        receivers, parts = join([lightmap.receivers for _, lightmap in lightmaps])
-        for (group, lightmap), part in zip(lightmaps, parts, strict=True):
-            objects = [world.scene.objects[i] for i in group]
-            name = f"{self.scene_name} atlas" if request.atlas else objects[0].source
-            self._sheets.append(Sheet(name, tuple(o.uid for o in objects), lightmap, part, self._uv_layer, self._placement))
+        self._sheets = [self._sheet(context, world, group) for group in groups]
+        receivers, parts = join([sheet.lightmap.receivers for sheet in self._sheets])
+        self._sheets = [replace(sheet, part=part) for sheet, part in zip(self._sheets, parts, strict=True)]
         return receivers
+
+    def _sheet(self, context: bpy.types.Context, world: World, group: list[int]) -> Sheet:
+        """The texels of the objects `group`, which share one image."""
+        request = self.request
+        objects = [world.scene.objects[i] for i in group]
+        uids = tuple(o.uid for o in objects)
+        depsgraph = context.evaluated_depsgraph_get()
+        layers = []
+        for obj in find_objects(uids, objects[0].source):
+            layers.append(find_uv_layer(obj, request.uv_layer))
+            self.notices += check_uv_layer(obj, layers[-1], depsgraph)
+        placement: dict[int, Placement] = {}
+        if request.atlas and not request.uv_layer:
+            # Our layers fill their unit square each. A layer that the user names is taken as packed for the atlas already.
+            area = {i: float(world.area[world.scene.objects[i].triangles].sum()) for i in group}
+            placement = place_objects(area, (request.resolution, request.resolution), max(1, min(8, request.margin)))
+        layer_of = dict(zip(group, layers, strict=True))
+        lightmap = rasterize(world, group, layer_of, request.resolution, request.subsamples, placement)
+        self.notices += lightmap.warnings
+        name = f"{self.scene_name} atlas" if request.atlas else objects[0].source
+        by_name = {world.scene.objects[i].source: p for i, p in placement.items()}
+        return Sheet(name, uids, lightmap, slice(0), tuple(layers), by_name)
 
     # ---- after the solve
 
@@ -175,12 +189,14 @@ class Bake:
                 image,
                 coverage,
                 name=f"{sheet.name} {quantity}",
-                uv_layer=sheet.uv_layer,
+                uv_layer=sheet.uv_layers[0],
                 placement=sheet.placement,
                 file=file,
                 folder=folder,
             )
             made[ABOUT] = self._about(solution)
+            for obj, layer in zip(objects, sheet.uv_layers, strict=True):
+                targets.link(obj, quantity)["uv_layer"] = layer  # in an atlas they may have other names
             datablocks.append(f"image {made.name}")
             if folder:
                 layers = {"coverage": coverage}

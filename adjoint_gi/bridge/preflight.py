@@ -24,13 +24,13 @@ from ..core.world import World
 from . import targets
 from .extract import extract
 from .extract_camera import render_size
+from .extract_notices import Notices
+from .lightmap_uv import MOST, STORED
 from .request import RECEIVERS, BakeRequest
 from .write_attribute import check_attribute_target
 
 QUICK = 300_000  # triangles above which the panel's check does not extract the scene
-UV_LAYERS = 8  # as many as Blender keeps on a mesh
 BYTES_A_TRIANGLE = 900  # arrays, rows of the world and Embree's tree, measured on zdm2
-ORDER = {"error": 0, "warning": 1, "info": 2}
 
 
 def preflight(context: bpy.types.Context, request: BakeRequest, thorough: bool = False) -> list[Notice]:
@@ -49,8 +49,11 @@ def preflight(context: bpy.types.Context, request: BakeRequest, thorough: bool =
 
 
 def ordered(notices: list[Notice]) -> list[Notice]:
-    """Errors, warnings, infos; each sentence once."""
-    return sorted(dict.fromkeys(notices), key=lambda n: ORDER[n.severity])
+    """Errors, warnings, infos; objects with the same sentence together."""
+    grouped = Notices()
+    for n in notices:
+        grouped.add(n.object, n.reason, n.remedy, n.severity)
+    return list(grouped.result())
 
 
 def look(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
@@ -211,17 +214,16 @@ def _texture_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]
         targets.check_mesh(obj)
     except TargetError as error:
         return [replace(error.notice, remedy=f"{error.notice.remedy}, or name one of its UV layers")]
-    if len(mesh.uv_layers) >= UV_LAYERS:
-        reason = f"has {len(mesh.uv_layers)} UV layers already, and Blender keeps no more than {UV_LAYERS}"
+    if len(mesh.uv_layers) >= MOST:
+        reason = f"has {len(mesh.uv_layers)} UV layers already, and Blender keeps no more than {MOST}"
         return [Notice(obj.name, reason, "Remove one, or name the one to bake into", "error")]
     return [Notice(obj.name, "has no lightmap UV layer yet; one is made", "", "info")]
 
 
 def has_own_layer(mesh: bpy.types.Mesh) -> bool:
     """Whether the mesh has the UV layer that was made for lightmaps."""
-    from .lightmap_uv import LAYER
-
-    return LAYER in mesh.uv_layers
+    name = mesh.get(STORED)
+    return isinstance(name, str) and name in mesh.uv_layers
 
 
 def _attribute_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]:

@@ -1,8 +1,7 @@
-"""Whether a scene is closed and its normals agree: random rays from the fronts of surfaces and from lamps.
+"""Whether light leaves the scene, and whether it arrives at the backs of faces: a few thousand particles, followed before a bake.
 
-With normals that agree, a ray that leaves the front of a surface arrives at the front of another one, in solids and in rooms alike. A
-ray that arrives at a back has found a face whose normal points the other way, or an open sheet seen from behind. A bake of such a
-face would show the dark side.
+A bake shows the fronts of faces. Where much of an object's light arrives at backs, its normals point the wrong way, or it is an open
+sheet lit from behind; the share is told. Light that leaves a nearly closed scene is a leak.
 """
 
 from __future__ import annotations
@@ -11,17 +10,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .emission import Emission
 from .errors import Notice
-from .world import World
+from .walks import walk
+from .world import Surface, World
 
-RAYS = 8192
-LEAK = 0.03  # a scene from which less than this share of the rays escapes is meant to be closed
+PARTICLES = 8192
+LENGTH = 8  # segments a particle is followed
+LEAK = 0.03  # a scene that less than this share of the reflected particles leaves is meant to be closed
 BACK = 0.01  # share of arrivals at backs from which on it is worth a warning
+FEWEST = 50  # arrivals at an object from which on its share means something
 
 
 @dataclass(frozen=True, eq=False)
 class Openness:
-    """escaped   share of the rays from surfaces that meet nothing
+    """escaped   share of the particles that met a surface and left the scene afterwards
     back      (number of objects,) float64, share of the arrivals at each object that are at its back
     arrivals  (number of objects,) int64
     """
@@ -31,67 +34,40 @@ class Openness:
     arrivals: np.ndarray
 
 
-def measure(world: World, rays: int = RAYS) -> Openness:
-    """Send `rays` rays, three quarters from the fronts of surfaces by area (cosine weighted), the others from lamps."""
+def measure(world: World, particles: int = PARTICLES) -> Openness:
+    """Follow `particles` particles of all lights; nothing arrives where nothing emits."""
     objects = len(world.scene.objects)
-    if world.triangle_count == 0 or not world.area.sum() > 0:
-        return Openness(0.0, np.zeros(objects), np.zeros(objects, np.int64))
+    arrivals, back = np.zeros(objects, np.int64), np.zeros(objects)
+    emission = Emission(world)
+    if emission.is_dark or world.triangle_count == 0:
+        return Openness(0.0, back, arrivals)
     rng = np.random.default_rng(0)
+    met = 0
 
-    # Step 1: rays from surfaces.
-    many = 3 * rays // 4
-    total = np.cumsum(world.area)
-    triangle = np.minimum(np.searchsorted(total, rng.random(many) * total[-1], side="right"), world.triangle_count - 1)
-    a, b = rng.random((2, many), np.float32)
-    u, v = 1 - np.sqrt(a), b * np.sqrt(a)
-    surface = world.surface(triangle, u, v)
-    origin = world.leave(surface)
-    direction = surface.ng + _sphere(rng, many)
-    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-6)
+    def visit(length: int, surface: Surface, arriving: np.ndarray) -> None:
+        nonlocal arrivals, back, met
+        owner = world.scene.object[surface.triangle]
+        met += len(owner) if length == 1 else 0
+        arrivals = arrivals + np.bincount(owner, minlength=objects)
+        back = back + np.bincount(owner, surface.side < 0, minlength=objects)
 
-    # Step 2: rays from lamps that have a place.
-    lamps = [light for light in world.scene.lights if light.kind != "sun" and any(light.color)]
-    if lamps:
-        pick = np.arange(rays - many) % len(lamps)
-        position = np.array([light.position for light in lamps], np.float64) - world.center
-        axis = np.array([light.axis_z for light in lamps], np.float32)[pick]
-        one_sided = np.array([light.kind != "point" for light in lamps])[pick]
-        way = _sphere(rng, rays - many)
-        behind = one_sided & (np.einsum("ij,ij->i", way, axis) > 0)
-        way[behind] *= -1
-        origin = np.concatenate([origin, position[pick].astype(np.float32)])
-        direction = np.concatenate([direction, way])
-
-    # Step 3: where they arrive.
-    hit = world.intersect(np.ascontiguousarray(origin, np.float32), np.ascontiguousarray(direction, np.float32))[0]
-    at = np.flatnonzero(hit >= 0)
-    owner = world.scene.object[hit[at]]
-    back = np.einsum("ij,ij->i", direction[at], world.rows[hit[at], 9:12]) > 0
-    arrivals = np.bincount(owner, minlength=objects)
-    share = np.bincount(owner, back, minlength=objects) / np.maximum(arrivals, 1)
-    return Openness(float((hit[:many] < 0).mean()), share, arrivals)
+    ends = walk(world, emission.draw(particles, rng), LENGTH, rng, visit)
+    left = ends.escaped - (ends.emitted - met)
+    return Openness(left / max(1, met), back / np.maximum(arrivals, 1), arrivals)
 
 
-def notices(world: World, wanted: set[int] | None = None, rays: int = RAYS) -> list[Notice]:
+def notices(world: World, wanted: set[int] | None = None, particles: int = PARTICLES) -> list[Notice]:
     """What `measure` finds, in words. Backs are told of the objects `wanted` (indices), by default of all."""
-    found = measure(world, rays)
+    found = measure(world, particles)
     out = []
     if 0 < found.escaped < LEAK:
-        reason = f"{100 * found.escaped:.2g} % of random rays leave the scene, which is nearly closed: light leaks through gaps"
+        reason = f"{100 * found.escaped:.2g} % of the light leaves the scene, which is nearly closed: it leaks through gaps"
         out.append(Notice("Scene", reason, "Close the gaps, or see the escaped flux in the report"))
     elif found.escaped >= LEAK:
-        out.append(Notice("Scene", f"is open: {100 * found.escaped:.0f} % of random rays reach the background", "", "info"))
-    for index in np.flatnonzero((found.back > BACK) & (found.arrivals >= 50)):
+        out.append(Notice("Scene", f"is open: {100 * found.escaped:.0f} % of the light leaves it after a reflection", "", "info"))
+    for index in np.flatnonzero((found.back > BACK) & (found.arrivals >= FEWEST)):
         if wanted is None or index in wanted:
             reason = f"{100 * found.back[index]:.0f} % of the light that reaches it arrives at the back of its faces"
-            remedy = "Recalculate its normals, unless it is an open sheet; only the front is baked"
+            remedy = "Recalculate its normals, unless it is an open sheet; only fronts are baked"
             out.append(Notice(world.scene.objects[index].name, reason, remedy))
     return out
-
-
-def _sphere(rng: np.random.Generator, n: int) -> np.ndarray:
-    """(n, 3) float32 unit vectors, uniform."""
-    z = 2 * rng.random(n) - 1
-    phi = 2 * np.pi * rng.random(n)
-    r = np.sqrt(1 - z * z)
-    return np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=1).astype(np.float32)
