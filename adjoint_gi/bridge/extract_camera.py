@@ -33,8 +33,7 @@ def read_camera(
         notices.add(obj.name, "has a scale of zero or a matrix that is not a number", "Clear its scale", "error")
         return None
     width, height = resolution or render_size(scene)
-    if data.dof.use_dof:
-        notices.add(obj.name, "has depth of field, which is not computed; everything is sharp", "", "info")
+    radius, focus = _lens(obj, depsgraph, notices)
     return Camera(
         kind="perspective" if data.type == "PERSP" else "orthographic",
         position=_rgb(matrix[:3, 3]),
@@ -46,6 +45,8 @@ def read_camera(
         height=height,
         clip_start=float(data.clip_start),
         clip_end=float(data.clip_end),
+        aperture_radius=radius,
+        focus_distance=focus,
     )
 
 
@@ -75,6 +76,32 @@ def _frame(data: bpy.types.Camera, render: bpy.types.RenderSettings, width: int,
     # Step 3: the shifted window.
     dx, dy = data.shift_x * fitted, data.shift_y * fitted
     return (pixel * (dx - 0.5 * width), pixel * (dx + 0.5 * width), pixel * (dy - 0.5 * tall), pixel * (dy + 0.5 * tall))
+
+
+def _lens(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, notices: Notices) -> tuple[float, float]:
+    """Aperture radius and distance of focus in metres as Cycles takes them; radius 0 without depth of field."""
+    data, dof = obj.data, obj.data.dof
+    if not dof.use_dof:
+        return 0.0, float(dof.focus_distance)
+    # Step 1: the radius is half the focal length (mm) over the f-stop; orthographic cameras count as 1 m long.
+    length = 1.0 if data.type == "ORTHO" else 1e-3 * data.lens
+    radius = length / (2 * max(float(dof.aperture_fstop), 1e-5))
+    # Step 2: an object in focus sets the distance along the view.
+    focus = float(dof.focus_distance)
+    if dof.focus_object is not None:
+        target = dof.focus_object.evaluated_get(depsgraph)
+        matrix = target.matrix_world
+        if target.pose is not None and dof.focus_subtarget in target.pose.bones:
+            matrix = matrix @ target.pose.bones[dof.focus_subtarget].matrix
+        view = np.array(obj.matrix_world.col[2][:3])
+        away = np.array(obj.matrix_world.translation) - np.array(matrix.translation)
+        focus = abs(float(away @ view)) / max(float(np.linalg.norm(view)), 1e-300)
+    if not (np.isfinite(radius) and np.isfinite(focus) and focus > 0):
+        notices.add(obj.name, "has a focus that lies in the camera or is not a number; everything is sharp", "Move what it focuses on")
+        return 0.0, 10.0
+    if dof.aperture_blades >= 3 or dof.aperture_ratio != 1.0:
+        notices.add(obj.name, "has an aperture with blades or a ratio; depth of field is computed with a round one", "", "info")
+    return radius, focus
 
 
 def _rgb(v: np.ndarray) -> Rgb:

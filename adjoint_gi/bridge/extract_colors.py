@@ -16,7 +16,7 @@ from ..core.scene import Color, Source, Term
 from . import color_nodes
 from .color_math import NotPolynomial, luminance, mapped, mean, simplified
 from .extract_images import MEAN_OF_NOTHING, Images
-from .extract_nodes import NodesTooDeep, Place, follow, inputs, is_linked
+from .extract_nodes import NodesTooDeep, Place, follow, inputs
 from .extract_notices import Notices
 from .extract_uv import NotUv, read_coordinates
 
@@ -130,6 +130,8 @@ class Colors:
 
     def _function(self, node: bpy.types.Node, place: Place, function: Callable) -> Color:
         """A node that maps one colour or number to another, its other inputs being constant."""
+        if place.socket.name == "Alpha":
+            raise Unknown(f'the alpha of node "{node.name}" is not computed')
         sockets = inputs(place)
         main = color_nodes.main_input(sockets)
         numbers = {n: self.number(p, f'"{n}" of node "{node.name}"') for n, p in sockets.items() if n != main and p.socket.type == "VALUE"}
@@ -171,6 +173,22 @@ class Colors:
         rows = tuple(tuple(float(x) for x in row) for row in m)
         return Color((Term((1.0, 1.0, 1.0), (Source("image", layer, index, rows, alpha),)),))  # type: ignore[arg-type]
 
+    def _environment(self, node: bpy.types.Node, place: Place) -> Color:
+        """Environment Texture: the mean over the sphere; the rows of a latitude-longitude image weigh by the sine of their angle."""
+        if node.image is None:
+            self.skip(place, "has no image", "black is used", "Choose an image")
+            return Color.of(0.0)
+        index = self.images.read(node.image, "REPEAT", "Linear", False)
+        if index is None:
+            return Color.of(*MEAN_OF_NOTHING[:3])
+        pixels = self.images.textures[index].pixels
+        weight = np.ones(len(pixels))
+        if node.projection == "EQUIRECTANGULAR":
+            weight = np.sin(np.pi * (np.arange(len(pixels)) + 0.5) / len(pixels))
+        value = weight @ pixels[:, :, :3].mean(axis=1, dtype=np.float64) / weight.sum()
+        self.skip(place, "varies with direction", "the mean radiance of its image is used", "Use a constant colour")
+        return Color.of(*value.tolist())
+
     def _attribute(self, node: bpy.types.Node, place: Place) -> Color:
         """Color Attribute and Attribute nodes."""
         if node.bl_idname == "ShaderNodeVertexColor":
@@ -183,7 +201,7 @@ class Colors:
             raise Unknown(f'node "{node.name}" uses an attribute as a vector')
         self.uses_default_attribute |= not name
         color = Color((Term((1.0, 1.0, 1.0), (Source("attribute", name, alpha=place.socket.name == "Alpha"),)),))
-        if place.socket.name == "Fac":
+        if place.socket.name in ("Fac", "Factor"):
             self.skip(place, "uses an attribute as a number", "each of its channels is used by itself", "Use its Color output")
         return color
 
@@ -202,7 +220,8 @@ class Colors:
             kind = node.blend_type if node.data_type == "RGBA" else "MIX"
             clamp_factor, clamp = node.clamp_factor, node.clamp_result and node.data_type == "RGBA"
         else:
-            factor, a, b = self.value(sockets["Fac"]), self.color(sockets["Color1"]), self.color(sockets["Color2"])
+            first, second, third = (Place(s, place.groups) for s in list(node.inputs)[:3])  # Blender 5 renamed them
+            factor, a, b = self.value(first), self.color(second), self.color(third)
             kind, clamp_factor, clamp = node.blend_type, True, node.use_clamp
         if clamp_factor and factor.is_constant:
             factor = Color.of(min(max(factor.constant[0], 0.0), 1.0))
@@ -256,6 +275,7 @@ class Colors:
 
 _READERS: dict[str, Callable[[Colors, bpy.types.Node, Place], Color]] = {
     "ShaderNodeTexImage": Colors._image,
+    "ShaderNodeTexEnvironment": Colors._environment,
     "ShaderNodeVertexColor": Colors._attribute,
     "ShaderNodeAttribute": Colors._attribute,
     "ShaderNodeRGB": Colors._constant,
@@ -268,5 +288,3 @@ _READERS: dict[str, Callable[[Colors, bpy.types.Node, Place], Color]] = {
     "ShaderNodeCombineColor": Colors._combine,
     "ShaderNodeCombineRGB": Colors._combine,
 }
-
-__all__ = ["Colors", "Unknown", "is_linked"]

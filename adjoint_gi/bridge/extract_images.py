@@ -2,7 +2,8 @@
 
 Blender hands out float images scene-linear with associated alpha, and byte images as they are stored (measured on 4.2 and 5.2), so the
 latter are decoded here. As in Cycles, the colour of an image with straight alpha is multiplied by alpha in its stored encoding when
-the node's Alpha output is not used.
+the node's Alpha output is not used. Two things are not copied from Cycles (seen on 4.2 to 5.2): it interpolates byte images between
+their stored values and decodes afterwards, and rounds byte colours times alpha to bytes. Both are exact here.
 """
 
 from __future__ import annotations
@@ -98,9 +99,10 @@ class Images:
         image.pixels.foreach_get(flat)
         self._pixels += width * height
         raw = flat.reshape(height, width, image.channels)
+        pixels = self._linear(image, name, _rgba(raw), straight)
         if not had and image.source == "FILE" and not image.is_dirty:
             image.buffers_free()  # it was not loaded before: leave no memory behind
-        return self._linear(image, name, _rgba(raw), straight)
+        return pixels
 
     def _fits(self, name: str, size: tuple[int, int]) -> bool:
         """Whether an image of this size is within the budgets; a notice if not."""

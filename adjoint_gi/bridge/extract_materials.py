@@ -7,7 +7,7 @@ import math
 import bpy
 import numpy as np
 
-from ..core.scene import Color, Lobe, Material, Rgb, Term, Texture
+from ..core.scene import Color, Lobe, Material, Term, Texture
 from .color_math import NotPolynomial, mapped
 from .extract_colors import Colors
 from .extract_images import Images
@@ -137,12 +137,3 @@ def _clamp(x: float, top: float) -> float:
 
 def _clamp_signed(x: float) -> float:
     return min(max(x, -LARGEST_EMISSION), LARGEST_EMISSION) if x == x else 0.0
-
-
-def constant_rgb(lobes: list[Lobe]) -> Rgb:
-    """Summed constant emission of lobes."""
-    total = np.zeros(3)
-    for lobe in lobes:
-        if lobe.kind == "emission":
-            total += lobe.color.constant
-    return (float(total[0]), float(total[1]), float(total[2]))
