@@ -21,7 +21,7 @@ def safe_name(name: str) -> str:
     result, on every system.
     """
     digest = hashlib.sha256(name.encode("utf-8", "surrogateescape")).hexdigest()[:8]
-    clean = bpy.path.clean_name(name)[:LONGEST].strip(" ._-")
+    clean = bpy.path.clean_name(name.encode("utf-8", "replace").decode())[:LONGEST].strip(" ._-")
     if clean.lower().split(".")[0] in DEVICES:
         clean = "_" + clean
     return f"{clean or 'unnamed'}-{digest}"

@@ -167,6 +167,19 @@ def remove_attributes(obj: bpy.types.Object) -> int:
     return removed
 
 
+def remove_result_object(obj: bpy.types.Object) -> bool:
+    """Remove the separate object that holds the result of `obj`, with its mesh; returns whether there was one."""
+    made = result_object(obj)
+    targets.forget(obj, [OBJECT])
+    if made is None:
+        return False
+    mesh = made.data
+    bpy.data.objects.remove(made)
+    if mesh.users == 0:
+        bpy.data.meshes.remove(mesh)
+    return True
+
+
 def _attribute(mesh: bpy.types.Mesh, key: str, domain: str, name: str) -> bpy.types.Attribute:
     """Our attribute for `key`, new or reused; which colours are active and rendered stays as chosen by the user."""
     colors = mesh.color_attributes

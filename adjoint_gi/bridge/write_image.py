@@ -80,9 +80,9 @@ def remove_images(objects: Sequence[bpy.types.Object], keys: Sequence[str] | Non
     for obj in objects:
         for key in targets.keys(obj) if keys is None else keys:
             image = linked_image(obj, key)
-            if image is not None and image not in images:
-                images.append(image)
-        targets.forget(obj, keys)
+            if image is not None:
+                images += [image] if image not in images else []
+                targets.forget(obj, [key])
     removed = 0
     for image in images:
         if image.users == int(image.use_fake_user):

@@ -76,10 +76,8 @@ def replace_file(
         os.replace(temporary, path)
     except OSError as error:
         raise _write_error(str(path), error) from error
-    except RuntimeError as error:  # what the OpenEXR library raises
-        raise WriteError(
-            str(path), f"could not be written ({error})", "Check that the disk is not full and the folder is writable"
-        ) from error
+    except RuntimeError as error:  # from the OpenEXR library
+        raise WriteError(str(path), f"could not be written ({error})", "Check that the disk is not full and try again") from error
     finally:
         with contextlib.suppress(OSError):
             os.unlink(temporary)

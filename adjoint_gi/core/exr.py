@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -44,7 +45,11 @@ def write_exr(
     header.update({f"adjoint_gi.{key}": str(value) for key, value in (metadata or {}).items()})
 
     def write(temporary: Path) -> None:
-        OpenEXR.File(header, {k: v.copy() for k, v in channels.items()}).write(str(temporary))
+        # Encoded in memory and written by Python: the library takes no path that is not UTF-8 and hides why a write failed.
+        encoded = io.BytesIO()
+        OpenEXR.File(header, {k: v.copy() for k, v in channels.items()}).write(encoded)
+        with open(temporary, "wb") as file:
+            file.write(encoded.getbuffer())
 
     def verify(temporary: Path) -> bool:
         back = _read(temporary)[0]
@@ -73,7 +78,7 @@ def read_exr(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
 def is_ours(path: Path) -> bool:
     """Whether this is an OpenEXR file that Adjoint GI wrote."""
     try:
-        with OpenEXR.File(str(path), header_only=True) as file:
+        with open(path, "rb") as stream, OpenEXR.File(stream, header_only=True) as file:
             return file.header().get("software") == SOFTWARE
     except (RuntimeError, OSError, ValueError):
         return False
@@ -92,5 +97,5 @@ def _channels(prefix: str, values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _read(path: Path) -> tuple[dict[str, np.ndarray], dict]:
-    with OpenEXR.File(str(path), separate_channels=True) as file:
+    with open(path, "rb") as stream, OpenEXR.File(stream, separate_channels=True) as file:
         return {name: np.array(c.pixels) for name, c in file.channels().items()}, dict(file.header())

@@ -1,0 +1,220 @@
+"""UV layers for lightmaps: no overlap, even density, and nothing else of the mesh is changed."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.bridge.extract_mesh import read_mesh
+from adjgi.adjoint_gi.bridge.extract_notices import Notices
+from adjgi.adjoint_gi.bridge.lightmap_uv import check_uv_layer, find_uv_layer, make_lightmap_uv, remove_lightmap_uv
+from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.errors import SceneError, TargetError
+from adjgi.adjoint_gi.core.lightmap import rasterize
+from adjgi.adjoint_gi.core.world import World
+
+SHAPES = {
+    "cube": lambda: bpy.ops.mesh.primitive_cube_add(),
+    "sphere": lambda: bpy.ops.mesh.primitive_uv_sphere_add(segments=48, ring_count=24),
+    "torus": lambda: bpy.ops.mesh.primitive_torus_add(major_segments=64, minor_segments=32),
+    "monkey": lambda: bpy.ops.mesh.primitive_monkey_add(),
+    "cylinder": lambda: bpy.ops.mesh.primitive_cylinder_add(vertices=40),
+    "cone": lambda: bpy.ops.mesh.primitive_cone_add(vertices=33),
+    "turned": lambda: bpy.ops.mesh.primitive_cube_add(rotation=(0.7854, 0.3, 0.7854)),
+}
+
+
+def add(shape="cube"):
+    SHAPES[shape]()
+    return bpy.context.view_layer.objects.active
+
+
+def spiral():
+    """A ramp of three turns around the z axis: seen from above it lies over itself."""
+    mesh = bpy.data.meshes.new("Spiral")
+    t = np.linspace(0, 6 * np.pi, 97)
+    inner = np.stack([np.cos(t), np.sin(t), 0.1 * t], 1)
+    outer = np.stack([2 * np.cos(t), 2 * np.sin(t), 0.1 * t], 1)
+    mesh.from_pydata(np.concatenate([inner, outer]).tolist(), [], [(i, 97 + i, 98 + i, i + 1) for i in range(96)])
+    obj = bpy.data.objects.new("Spiral", mesh)
+    bpy.context.scene.collection.objects.link(obj)
+    return obj
+
+
+def raster(obj, layer, resolution, subsamples=4):
+    m = read_mesh(obj.data, obj.name, Notices())
+    b = SceneBuilder()
+    b.mesh(obj.name, m.vertices, m.triangles, diffuse("White", 0.5), uv=m.uvs[layer])
+    return m, rasterize(World(b.build()), [0], "UVMap", resolution, subsamples)
+
+
+@pytest.mark.parametrize("shape", [*SHAPES, "spiral"])
+def test_no_overlap_every_face_has_texels_and_charts_are_apart(shape):
+    obj = spiral() if shape == "spiral" else add(shape)
+    padding = 3
+    name = make_lightmap_uv(obj, resolution=256, padding=padding)
+    m, lm = raster(obj, name, 256)
+    assert lm.overlapping == 0 and lm.outside == 0 and lm.no_area == 0 and lm.tiny_charts == 0 and lm.unusable == 0
+    assert len(np.unique(lm.receivers.triangle)) > 0.97 * len(m.triangles)
+    assert lm.covered.mean() > 0.3
+    # No texel has one of another chart within the padding, along rows and columns.
+    for axis in (0, 1):
+        for step in range(1, padding):
+            a = lm.chart if step == 0 else np.roll(lm.chart, step, axis=axis)
+            keep = np.ones_like(lm.covered)
+            keep[(slice(step),) if axis == 0 else (slice(None), slice(step))] = False
+            assert not np.any(keep & (a >= 0) & (lm.chart >= 0) & (a != lm.chart))
+
+
+def density(obj, layer):
+    """UV area over area of every triangle."""
+    m = read_mesh(obj.data, obj.name, Notices())
+    p, uv = m.vertices[m.triangles], m.uvs[layer].astype(float)
+    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    e1, e2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    return np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]) / area
+
+
+def test_texels_are_equally_large_everywhere():
+    for shape, least in (("cube", 0.999), ("turned", 0.999), ("cylinder", 0.6), ("sphere", 0.49)):
+        d = density(*(lambda o: (o, make_lightmap_uv(o)))(add(shape)))
+        assert d.min() / d.max() > least, shape
+
+
+def test_scale_of_the_object_counts():
+    obj = add("cube")
+    obj.scale = (4, 1, 1)
+    bpy.context.view_layer.update()
+    d = density(obj, make_lightmap_uv(obj))
+    # In object space the faces along x must be four times as dense.
+    assert np.allclose(np.sort(np.unique(np.round(d / d.min(), 2))), [1, 4], atol=0.02)
+
+
+def snapshot(obj):
+    mesh = obj.data
+    corner = [tuple(np.round(x.vector, 6)) for layer in mesh.uv_layers if layer.name != "Lightmap" for x in layer.uv]
+    return (
+        [x.name for x in mesh.uv_layers if x.name != "Lightmap"],
+        mesh.uv_layers.active.name,
+        [x.name for x in mesh.uv_layers if x.active_render],
+        corner,
+        [p.select for p in mesh.polygons],
+        [v.select for v in mesh.vertices],
+        [tuple(v.co) for v in mesh.vertices],
+        obj.mode,
+        obj.select_get(),
+        bpy.context.view_layer.objects.active.name,
+        len(bpy.data.meshes),
+        len(bpy.data.objects),
+        len(bpy.data.scenes),
+        sorted(a.name for a in mesh.attributes if a.name != "Lightmap"),
+    )
+
+
+def test_nothing_else_changes_and_removal_leaves_no_trace():
+    obj = add("monkey")
+    mesh = obj.data
+    mesh.uv_layers.new(name="Second")
+    mesh.uv_layers.active = mesh.uv_layers["Second"]
+    mesh.polygons[3].select = False
+    before = snapshot(obj)
+    assert make_lightmap_uv(obj) == "Lightmap"
+    assert snapshot(obj) == before
+    assert make_lightmap_uv(obj, resolution=128) == "Lightmap" and len(mesh.uv_layers) == 3
+    assert snapshot(obj) == before
+    assert remove_lightmap_uv(obj) and not remove_lightmap_uv(obj)
+    assert snapshot(obj) == before and not mesh.keys() and len(mesh.uv_layers) == 2
+
+
+def test_the_layer_is_the_same_every_time():
+    got = []
+    for _ in range(2):
+        obj = add("monkey")
+        name = make_lightmap_uv(obj)
+        got.append(read_mesh(obj.data, "m", Notices()).uvs[name])
+    assert np.array_equal(*got)
+
+
+def test_a_users_layer_called_lightmap_is_left_alone():
+    obj = add("cube")
+    obj.data.uv_layers["UVMap"].name = "Lightmap"
+    before = read_mesh(obj.data, "m", Notices()).uvs["Lightmap"]
+    assert make_lightmap_uv(obj) == "Lightmap.001"
+    assert np.array_equal(read_mesh(obj.data, "m", Notices()).uvs["Lightmap"], before)
+    assert find_uv_layer(obj, "") == "Lightmap.001" and find_uv_layer(obj, "Lightmap") == "Lightmap"
+
+
+def test_layers_are_found_or_refused_by_name():
+    obj = add("cube")
+    obj.data.uv_layers.new(name="Other")
+    assert find_uv_layer(obj, "") == "UVMap"
+    with pytest.raises(TargetError, match=r'no UV layer "Bake" \(layers: "UVMap", "Other"\)'):
+        find_uv_layer(obj, "Bake")
+    while obj.data.uv_layers:
+        obj.data.uv_layers.remove(obj.data.uv_layers[0])
+    with pytest.raises(TargetError, match="has no UV layer"):
+        find_uv_layer(obj, "")
+    assert make_lightmap_uv(obj) == "Lightmap"  # a mesh without any layer gets its first
+
+
+def test_a_ninth_layer_is_refused():
+    obj = add("cube")
+    while len(obj.data.uv_layers) < 8:
+        obj.data.uv_layers.new(name="More")
+    with pytest.raises(TargetError, match="8 UV layers"):
+        make_lightmap_uv(obj)
+    assert len(obj.data.uv_layers) == 8
+
+
+def test_too_many_charts_edit_mode_and_empty_meshes_are_refused():
+    obj = add("monkey")
+    with pytest.raises(TargetError, match="do not fit into 8 x 8"):
+        make_lightmap_uv(obj, resolution=8)
+    bpy.ops.object.mode_set(mode="EDIT")
+    with pytest.raises(TargetError, match="edit mode"):
+        make_lightmap_uv(obj)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    empty = bpy.data.objects.new("Empty", bpy.data.meshes.new("Empty"))
+    with pytest.raises(SceneError, match="no faces"):
+        make_lightmap_uv(empty)
+    flat = add("cube")
+    flat.scale = (0, 0, 1)
+    bpy.context.view_layer.update()
+    with pytest.raises(SceneError, match="no face with an area"):
+        make_lightmap_uv(flat)
+
+
+def test_degenerate_faces_do_not_stop_the_others():
+    obj = add("cube")
+    obj.data.vertices[0].co = (float("nan"), 0, 0)
+    name = make_lightmap_uv(obj)
+    uv = read_mesh(obj.data, "m", Notices()).uvs[name]
+    assert np.isfinite(uv).all() and uv.min() >= 0 and uv.max() <= 1
+
+
+def test_modifiers_that_add_faces_are_named():
+    obj = add("cube")
+    name = make_lightmap_uv(obj)
+    assert check_uv_layer(obj, name, bpy.context.evaluated_depsgraph_get()) == ()
+    obj.modifiers.new("Many", "ARRAY")
+    (notice,) = check_uv_layer(obj, name, bpy.context.evaluated_depsgraph_get())
+    assert notice.object == obj.name and "Many" in notice.reason
+    tree = bpy.data.node_groups.new("Drop", "GeometryNodeTree")
+    tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    start, drop, end = (tree.nodes.new(x) for x in ("NodeGroupInput", "GeometryNodeRemoveAttribute", "NodeGroupOutput"))
+    drop.inputs["Name"].default_value = name
+    tree.links.new(start.outputs[0], drop.inputs[0])
+    tree.links.new(drop.outputs[0], end.inputs[0])
+    obj.modifiers.new("Nodes", "NODES").node_group = tree
+    with pytest.raises(TargetError, match="does not survive"):
+        check_uv_layer(obj, name, bpy.context.evaluated_depsgraph_get())
+
+
+def test_objects_that_share_a_mesh_share_the_layer():
+    first = add("cube")
+    second = bpy.data.objects.new("Second", first.data)
+    bpy.context.scene.collection.objects.link(second)
+    name = make_lightmap_uv(first)
+    assert find_uv_layer(second, "") == name
+    assert make_lightmap_uv(second) == name and len(first.data.uv_layers) == 2
