@@ -100,7 +100,8 @@ def _lens(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, notices: Notice
         notices.add(obj.name, "has a focus that lies in the camera or is not a number; everything is sharp", "Move what it focuses on")
         return 0.0, 10.0
     if dof.aperture_blades >= 3 or dof.aperture_ratio != 1.0:
-        notices.add(obj.name, "has an aperture with blades or a ratio; depth of field is computed with a round one", "", "info")
+        notices.add(obj.name, "has an aperture with blades or a ratio, which is taken as round", "", "info")
+    notices.add(obj.name, "has depth of field, which only distribution ray tracing computes", "Other methods draw everything sharp", "info")
     return radius, focus
 
 

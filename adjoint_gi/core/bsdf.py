@@ -167,7 +167,7 @@ def coat_albedo(mu: np.ndarray, roughness: float, ior: float) -> np.ndarray:
     return np.where(wi[:, 2] > 0, value, 0).reshape(len(mu), -1).mean(axis=1)
 
 
-def _reflectance(kind: np.ndarray, slot: Slot, cosine: np.ndarray, eta: np.ndarray) -> np.ndarray:
+def reflectance(kind: np.ndarray, slot: Slot, cosine: np.ndarray, eta: np.ndarray) -> np.ndarray:
     """(n, 3) share of light that a facet reflects, by the lobe's kind."""
     out = slot.color.copy()
     which = kind == METALLIC
@@ -180,7 +180,7 @@ def _reflectance(kind: np.ndarray, slot: Slot, cosine: np.ndarray, eta: np.ndarr
     return out
 
 
-def _eta(lobes: Lobes, slot: Slot) -> np.ndarray:
+def relative_ior(lobes: Lobes, slot: Slot) -> np.ndarray:
     """Index beyond the surface over the index on the side of wo. A coat is never seen from inside: it lies on both sides."""
     inside = ~lobes.entering & (slot.kind != SPECULAR)
     return np.where(inside, 1 / slot.ior, slot.ior).astype(np.float32)
@@ -220,7 +220,7 @@ def evaluate(lobes: Lobes, wi: np.ndarray, p: np.ndarray | None = None) -> tuple
         which = np.flatnonzero((slot.kind > 0) & ~slot.delta)
         if len(which):
             part = Slot(slot.kind[which], slot.color[which], slot.alpha[which], slot.ior[which])
-            f, q = _evaluate_slot(lobes.local[which], w[which], part, _eta(lobes, slot)[which])
+            f, q = _evaluate_slot(lobes.local[which], w[which], part, relative_ior(lobes, slot)[which])
             value[which] += f
             pdf[which] += p[i + 1, which] * q
     return value.astype(np.float32), pdf.astype(np.float32)
@@ -237,7 +237,7 @@ def _evaluate_slot(wo: np.ndarray, wi: np.ndarray, slot: Slot, eta: np.ndarray) 
         h = o + i
         h /= np.maximum(np.sqrt(mf.dot(h, h)), mf.TINY)[:, None]
         c = mf.dot(o, h)
-        share = _reflectance(part.kind, part, c, e)
+        share = reflectance(part.kind, part, c, e)
         value[above] = share * (mf.distribution(h, a) * mf.masking(o, i, a) / (4 * o[:, 2]))[:, None]
         # A glass lobe reflects with probability Fresnel, the others always.
         q = np.where(part.kind == GLASS, mf.fresnel(c, e), np.float32(1))
@@ -272,11 +272,11 @@ class Scattered:
     through: np.ndarray
 
 
-def sample(lobes: Lobes, rng: np.random.Generator) -> Scattered:
-    """Draw a direction at each point: a lobe by its weight, then a direction in it."""
+def sample(lobes: Lobes, rng: np.random.Generator, uniform: np.ndarray | None = None) -> Scattered:
+    """Draw a direction at each point: a lobe by its weight, then a direction in it, from `uniform` (4, n) float32 or else from `rng`."""
     n = len(lobes.wo)
     p = weights(lobes)
-    r = rng.random((4, n), np.float32)
+    r = rng.random((4, n), np.float32) if uniform is None else uniform
     # 1. Pick the lobe.
     pick = (r[0] >= np.cumsum(p, axis=0)).sum(axis=0).clip(0, len(lobes.slots))
     wi = np.zeros((n, 3), np.float32)
@@ -294,7 +294,7 @@ def sample(lobes: Lobes, rng: np.random.Generator) -> Scattered:
             continue
         part = Slot(slot.kind[which], slot.color[which], slot.alpha[which], slot.ior[which])
         d = part.delta
-        eta = _eta(lobes, slot)[which]
+        eta = relative_ior(lobes, slot)[which]
         o = lobes.local[which]
         h = mf.visible_normal(o, part.alpha, r[1, which], r[2, which])
         h[d] = (0, 0, 1)
@@ -308,7 +308,7 @@ def sample(lobes: Lobes, rng: np.random.Generator) -> Scattered:
         lost = (go & total) | (~go & ~straight & (w[:, 2] <= 0)) | (go & (w[:, 2] >= 0))
         wi[which] = w
         # Delta lobes: the choice between reflection and transmission cancels the Fresnel share.
-        share = np.where((part.kind == GLASS)[:, None], part.color, _reflectance(part.kind, part, c, eta))
+        share = np.where((part.kind == GLASS)[:, None], part.color, reflectance(part.kind, part, c, eta))
         share = np.where((go | straight)[:, None], part.color, share)
         weight[which] = np.where((d & ~lost)[:, None], share / np.maximum(p[i + 1, which], mf.TINY)[:, None], 0)
         delta[which] = d

@@ -29,6 +29,8 @@ BATCH = 1 << 14
 PAUSE = 0.1  # seconds between steps, about
 
 Estimate = Callable[[Surface, np.ndarray | None, np.random.Generator], Gathered]
+# Draws the points of samples (receiver (n,), number of the sample (n,)) and gives the estimate of just these points.
+Place = Callable[[np.ndarray, np.ndarray, np.random.Generator], tuple[Points, Estimate]]
 
 
 class Clock:
@@ -82,19 +84,28 @@ class Run:
         """Whether radiance is wanted, not irradiance."""
         return self.receivers.measure == "radiance"
 
-    def steps(self, estimate: Estimate, samples: int, rng: np.random.Generator) -> Iterator[Step]:
-        """Random samples of every receiver, pass by pass, with a generator for each batch, then the finished result."""
+    def steps(
+        self, estimate: Estimate | None, samples: int, rng: np.random.Generator, place: Place | None = None, batch: int = BATCH
+    ) -> Iterator[Step]:
+        """Random samples of every receiver, pass by pass, with a generator for each batch of `batch` samples, then the finished result.
+
+        `place` stands in for `estimate` in methods that choose the random numbers of every sample themselves.
+        """
         seed = rng.integers(0, 1 << 63, 4).tolist()
 
         def work(item: tuple[int, int, int, int]) -> tuple[tuple, tuple]:
             first, last, many, index = item
             generator = np.random.Generator(np.random.SFC64([*seed, first, index]))
             owner = np.repeat(np.arange(first, last), many)
-            return item, self._evaluate(self.receivers.sample(owner, generator), first, last, estimate, generator)
+            if place is None:
+                points, here = self.receivers.sample(owner, generator), estimate
+            else:
+                points, here = place(owner, np.tile(np.arange(index, index + many), last - first), generator)
+            return item, self._evaluate(points, first, last, here, generator)
 
         yield from self._read_surfaces(before=True)
         total, done = self.receivers.count * samples, 0
-        with closing(in_order(work, _batches(self.receivers.count, samples))) as results:
+        with closing(in_order(work, _batches(self.receivers.count, samples, batch))) as results:
             for (first, last, many, _), sums in results:
                 self._add(first, last, many, sums)
                 done += many * (last - first)
@@ -204,13 +215,13 @@ class Run:
         )
 
 
-def _batches(count: int, samples: int) -> Iterator[tuple[int, int, int, int]]:
+def _batches(count: int, samples: int, batch: int) -> Iterator[tuple[int, int, int, int]]:
     """(first receiver, last, samples, index of the first sample): a quick full pass first, then passes of up to 16 samples."""
     index = 0
-    size = max(1, min(16, BATCH // max(1, count)))
+    size = max(1, min(16, batch // max(1, count)))
     while index < samples:
         now = min(size if index == 0 else min(index, 16), samples - index)
-        block = max(1, BATCH // now)
+        block = max(1, batch // now)
         for first in range(0, count, block):
             yield first, min(first + block, count), now, index
         index += now

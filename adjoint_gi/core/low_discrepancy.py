@@ -52,9 +52,13 @@ _DIRECTIONS = _directions()
 
 def sobol(first: int, count: int, dimensions: int) -> np.ndarray:
     """(dimensions, count) uint32: points `first` to `first + count` of the Sobol sequence; divide by 2^32."""
-    index = np.arange(first, first + count, dtype=np.uint32)
-    out = np.zeros((dimensions, count), np.uint32)
-    for bit in range(max(1, (first + count - 1).bit_length())):
+    return sobol_at(np.arange(first, first + count, dtype=np.uint32), dimensions)
+
+
+def sobol_at(index: np.ndarray, dimensions: int) -> np.ndarray:
+    """(dimensions, n) uint32: the points `index` (n,) uint32 of the Sobol sequence."""
+    out = np.zeros((dimensions, len(index)), np.uint32)
+    for bit in range(int(index.max(initial=1)).bit_length()):
         odd = (index >> np.uint32(bit)) & np.uint32(1)
         out ^= _DIRECTIONS[:dimensions, bit, None] * odd
     return out

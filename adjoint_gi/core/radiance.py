@@ -90,7 +90,7 @@ def gather(walk: Walk, surface: Surface, lobes: bsdf.Lobes, rng: np.random.Gener
         triangle, u, v, t = walk.world.intersect(origin, wi)
         rays += len(go)
         # Step 3: emission the ray meets.
-        if counts and (walk.lobes or delta.any()):
+        if counts and (walk.lobes or delta.any() or walk.emitters.any_background):
             out_here = met(walk, origin, wi, (triangle, u, v, t), pdf, delta, share)
             out[row] += weight * out_here
         # Step 4: go on from the surface that was hit, unless its radiance is known or roulette ends the walk.
@@ -113,8 +113,13 @@ def gather(walk: Walk, surface: Surface, lobes: bsdf.Lobes, rng: np.random.Gener
     return Gathered(direct, indirect, rays)
 
 
-def next_event(walk: Walk, surface: Surface, lobes: bsdf.Lobes, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, int]:
-    """One light point for each surface point: rows (m,) that are lit, reflected radiance (m, 3), shadow rays cast."""
+def next_event(
+    walk: Walk, surface: Surface, lobes: bsdf.Lobes, rng: np.random.Generator, uniform: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """One light point for each surface point: rows (m,) that are lit, reflected radiance (m, 3), shadow rays cast.
+
+    The light points come from `uniform` (3, n) float32 where given, else from `rng`.
+    """
     able = np.flatnonzero(lobes.smooth_part())
     if not len(able):
         return able, np.zeros((0, 3), np.float32), 0
@@ -125,7 +130,8 @@ def next_event(walk: Walk, surface: Surface, lobes: bsdf.Lobes, rng: np.random.G
     below = (share < 1) & (rng.random(len(able), np.float32) < 0.5)
     sign = np.where(below, np.float32(-1), np.float32(1))[:, None]
     origin = surface.position[able] + sign * np.float32(walk.world.offset) * ng
-    s = walk.emitters.draw(np.ascontiguousarray(origin.T), rng.random((3, len(able)), np.float32))
+    u = rng.random((3, len(able)), np.float32) if uniform is None else uniform[:, able]
+    s = walk.emitters.draw(np.ascontiguousarray(origin.T), u)
     wi = np.ascontiguousarray(s.wi.T)
     value, pdf = bsdf.evaluate(part, wi)
     # A light on the other side of the surface, geometric or shading, does not count.
@@ -177,7 +183,7 @@ def met(walk: Walk, origin: np.ndarray, wi: np.ndarray, hit: tuple, pdf: np.ndar
     full = np.flatnonzero(delta) if walk.lights else np.flatnonzero(sees)
     if len(full) and len(emitters.sized):
         out[full] += emitters.along(origin[full], wi[full], distance[full])
-    if walk.lights and len(emitters.shared):
+    if walk.lights and walk.lobes and len(emitters.shared):
         rest = np.flatnonzero(~delta)
         if len(rest):
             o, w = np.ascontiguousarray(origin[rest].T), np.ascontiguousarray(wi[rest].T)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .sampling import disk
 from .world import World
 
 CHUNK = 1 << 15
@@ -113,17 +114,38 @@ class CameraReceivers(Receivers):
             direction = direction / np.linalg.norm(direction, axis=1)[:, None]
         return np.ascontiguousarray(origin, np.float32), np.ascontiguousarray(direction, np.float32)
 
-    def _points(self, receiver: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> Points:
-        origin, direction = self.rays(receiver, dx, dy)
+    def lens_rays(self, receiver: np.ndarray, dx: np.ndarray, dy: np.ndarray, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As `rays`, but through points of the round aperture, uniform in it for `lens` (2, n) uniform in 0..1 (thin lens, Cook 1984)."""
+        camera = self.camera
+        origin, direction = (a.astype(np.float64) for a in self.rays(receiver, dx, dy))
+        r, u, f = (np.asarray(a, np.float64) for a in (camera.right, camera.up, camera.forward))
+        # Step 1: the point in the plane of focus on which all rays of this place in the pixel meet.
+        depth = camera.focus_distance - camera.clip_start
+        focus = origin + direction * (depth / (direction @ f))[:, None]
+        # Step 2: the point on the lens, which stands in the plane of the camera's position.
+        x, y = disk(lens[0], lens[1])
+        start = origin - direction * (camera.clip_start / (direction @ f))[:, None]
+        start += camera.aperture_radius * (x[:, None] * r + y[:, None] * u)
+        # Step 3: the ray between them, from the near clipping plane on.
+        direction = focus - start
+        direction /= np.linalg.norm(direction, axis=1)[:, None]
+        origin = start + direction * (camera.clip_start / (direction @ f))[:, None]
+        return np.ascontiguousarray(origin, np.float32), np.ascontiguousarray(direction, np.float32)
+
+    def _points(self, receiver: np.ndarray, dx: np.ndarray, dy: np.ndarray, lens: np.ndarray | None = None) -> Points:
+        sharp = lens is None or self.camera.aperture_radius <= 0
+        origin, direction = self.rays(receiver, dx, dy) if sharp else self.lens_rays(receiver, dx, dy, lens)
         triangle, u, v, t = self.world.intersect(origin, direction)
         beyond = t * np.abs(direction @ np.asarray(self.camera.forward, np.float32)) > self.camera.clip_end - self.camera.clip_start
         triangle = np.where(beyond, np.int32(-1), triangle)
         return Points(receiver, triangle, u, v, -direction, origin, t, len(receiver))
 
-    def sample(self, receiver: np.ndarray, rng: np.random.Generator, uniform: np.ndarray | None = None) -> Points:
-        """Where a random ray through each pixel meets the scene (box filter)."""
+    def sample(
+        self, receiver: np.ndarray, rng: np.random.Generator, uniform: np.ndarray | None = None, lens: np.ndarray | None = None
+    ) -> Points:
+        """Where a random ray through each pixel meets the scene (box filter); `lens` (2, n) float32 in 0..1 gives depth of field."""
         d = rng.random((2, len(receiver)), np.float32) if uniform is None else uniform
-        return self._points(receiver, d[0], d[1])
+        return self._points(receiver, d[0], d[1], lens)
 
     def sites(self) -> Iterator[Points]:
         """A regular grid of rays in every pixel."""

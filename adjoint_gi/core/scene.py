@@ -168,7 +168,11 @@ class Light:
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole or orthographic camera. `frame` is (left, right, bottom, top) at distance 1, or in metres when orthographic."""
+    """A perspective or orthographic camera. `frame` is (left, right, bottom, top) at distance 1, or in metres when orthographic.
+
+    With an `aperture_radius` (m) it has a round thin lens in the plane through `position`, sharp in the plane `focus_distance` (m)
+    before it along `forward`; a radius of 0 is a pinhole.
+    """
 
     kind: str  # perspective or orthographic
     position: Rgb
@@ -180,6 +184,8 @@ class Camera:
     height: int
     clip_start: float = 0.0
     clip_end: float = float("inf")
+    aperture_radius: float = 0.0
+    focus_distance: float = 10.0
 
 
 @dataclass(frozen=True, eq=False)
