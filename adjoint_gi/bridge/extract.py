@@ -7,6 +7,7 @@ import bpy
 from ..core.scene import SceneArrays
 from .extract_camera import read_camera
 from .extract_instances import Walk, place
+from .extract_layers import name_missing_layers
 from .extract_lights import read_lights
 from .extract_materials import Materials
 from .extract_notices import Notices
@@ -32,6 +33,8 @@ def extract(depsgraph: bpy.types.Depsgraph, scene: bpy.types.Scene | None = None
 
     # Step 2: bring every instance to world space.
     placed = place(walk.groups, materials.colors.uses_default_attribute, notices)
+
+    name_missing_layers(placed.objects, placed.object, placed.material, materials.result(), notices)
 
     # Step 3: what is not geometry.
     lights = read_lights(walk.lights, notices)

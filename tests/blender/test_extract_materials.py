@@ -152,7 +152,7 @@ def test_albedo_is_kept_between_zero_and_one(value, expected):
     assert told(arrays, 'Material "m"', "clamped") or told(arrays, 'Material "m"', "not a number")
 
 
-@pytest.mark.parametrize(("strength", "expected"), [(-3.0, None), (float("nan"), None), (1e30, 1e9), (float("inf"), None)])
+@pytest.mark.parametrize(("strength", "expected"), [(-3.0, None), (float("nan"), None), (1e30, 1e9), (float("inf"), 1e9)])
 def test_emission_that_cannot_be_computed_with(strength, expected):
     lobes, arrays = lobes_of(shader_material("m", "ShaderNodeEmission", Strength=strength))
     if expected is None:
@@ -254,6 +254,21 @@ def png(path, width, height, pixels=b""):
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(pixels)) + chunk(b"IEND", b""))
     return path
+
+
+def test_missing_layers_are_named():
+    material = textured(bpy.data.images.new("i", 2, 2))
+    plane = white_plane(2.0, material)
+    plane.data.uv_layers.remove(plane.data.uv_layers[0])
+    paint = shader_material("paint", "ShaderNodeEmission")
+    node = paint.node_tree.nodes.new("ShaderNodeVertexColor")
+    node.layer_name = "nowhere"
+    emission = next(n for n in paint.node_tree.nodes if n.type == "EMISSION")
+    paint.node_tree.links.new(node.outputs["Color"], emission.inputs["Color"])
+    white_plane(2.0, paint).name = "unpainted"
+    arrays = extract(bpy.context.evaluated_depsgraph_get())
+    assert told(arrays, "plane", "no UV layer")
+    assert told(arrays, "unpainted", 'no colour attribute "nowhere"')
 
 
 def test_missing_and_corrupt_images(tmp_path):
