@@ -36,6 +36,7 @@ from ..adjoint_gi.core.world import Surface, World
 
 SMALLEST, LARGEST = 1 << 10, 1 << 15  # particles in a batch
 BATCHES = 32  # at least, where batches do not become too small: the standard error is estimated from their differences
+FEW_BATCHES = 8  # where there are so many elements that summing over them takes longer than the walks
 PER_ELEMENT = 250  # particles shot for each element that is made when the elements' size is chosen automatically
 FEWEST, MOST = 500, 50_000  # elements chosen automatically
 
@@ -113,7 +114,7 @@ class ParticleTracing(Solver):
 
     def solve(self, world: World, receivers: Receivers, settings: ParticleSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every batch; the fraction is particles done."""
-        started = time.monotonic()
+        clock = _Clock()
         emission = Emission(world)
         elements = elements_for(world, receivers, settings.max_edge, automatic(settings.particles))
         answer = ElementAnswer(elements, receivers, None, settings.min_length, settings.max_length)
@@ -127,7 +128,7 @@ class ParticleTracing(Solver):
                 receivers.measure,
                 **{**parts.arrays(), "extra": {**parts.extra, "light_flux": tally.per_particle(tally.lights).astype(np.float32)}},
                 rays=tally.ends.rays + parts.rays,
-                seconds=time.monotonic() - started,
+                seconds=clock.seconds,
                 balance=tally.balance(),
                 history=tuple(tally.history),
                 warnings=warnings,
@@ -137,10 +138,10 @@ class ParticleTracing(Solver):
 
         # Step 1: where the receivers lie on the elements.
         for share in answer.prepare():
-            yield Step(0.0, f"Finding receivers, {share:.0%}", solution)
+            yield from clock.pause(Step(0.0, f"Finding receivers, {share:.0%}", solution))
 
         # Step 2: batches of particles, each with random numbers of its own.
-        sizes = batch_sizes(0 if emission.is_dark else settings.particles)
+        sizes = batch_sizes(0 if emission.is_dark else settings.particles, 2 * elements.count)
         seeds = rng.integers(0, 1 << 63, 4).tolist()
 
         def shoot(index: int) -> _Batch:
@@ -150,11 +151,29 @@ class ParticleTracing(Solver):
         with closing(in_order(shoot, range(len(sizes)))) as batches:
             for batch in batches:
                 tally.add(batch)
-                tally.history.append((time.monotonic() - started, tally.relative_error()))
+                tally.history.append((clock.seconds, tally.relative_error()))
                 if tally.count < settings.particles:
                     text = f"{tally.count:,} of {settings.particles:,} particles"
-                    yield Step(tally.count / settings.particles, text, solution)
+                    yield from clock.pause(Step(tally.count / settings.particles, text, solution))
         yield Step(1.0, f"{tally.count:,} particles", lambda: solution(False))
+
+
+class _Clock:
+    """Seconds of work, without the time in which nobody asked for the next step."""
+
+    def __init__(self) -> None:
+        self._began = time.perf_counter()
+
+    @property
+    def seconds(self) -> float:
+        """Worked so far."""
+        return time.perf_counter() - self._began
+
+    def pause(self, step: Step) -> Iterator[Step]:
+        """Yield `step` and leave out the time until the generator is continued."""
+        left = time.perf_counter()
+        yield step
+        self._began += time.perf_counter() - left
 
 
 class _Tally:
@@ -240,11 +259,12 @@ def automatic(particles: int) -> int:
     return min(max(particles // PER_ELEMENT, FEWEST), MOST)
 
 
-def batch_sizes(particles: int) -> list[int]:
-    """Particles of each batch; they differ by one at most."""
+def batch_sizes(particles: int, sides: int) -> list[int]:
+    """Particles of each batch; they differ by one at most. A batch has at least half as many as there are element sides."""
     if particles == 0:
         return []
-    size = min(max(particles // BATCHES, SMALLEST), LARGEST)
+    wanted = max(particles // BATCHES, min(sides // 2, particles // FEW_BATCHES))
+    size = min(max(wanted, SMALLEST), LARGEST)
     many = -(-particles // size)
     return [particles // many + (i < particles % many) for i in range(many)]
 

@@ -195,14 +195,15 @@ def test_two_rooms_joined_by_a_door(c, rho):
     agrees(mean, error, np.repeat(irradiance[:, None], 3, axis=1), bias=0.004, resolution=0.008)
 
 
-def test_point_light_in_a_sphere():
-    """T12: irradiance I / (1 - rho) at distance 1."""
+@pytest.mark.parametrize("options,share", [({}, 1.0), ({"radius": 0.5, "soft_falloff": True}, 1 / 1.25)])
+def test_point_light_in_a_sphere(options, share):
+    """T12: irradiance I / (1 - rho) at distance 1; with soft falloff a wall that faces the lamp sees I / (1 + radius^2)."""
     vertices, triangles = scenes.icosphere(4)
     b = SceneBuilder()
     b.mesh("Sphere", vertices, triangles[:, ::-1], diffuse("Wall", 0.5))
-    b.light(Light("Lamp", "point", (math.pi,) * 3))
+    b.light(Light("Lamp", "point", (math.pi,) * 3, **options))
     mean, error = replicates(b.build(), front, particles=30_000, target=4000)
-    agrees(mean[0], error[0], np.full(3, 2 * math.pi), bias=0.01)
+    agrees(mean[0], error[0], np.full(3, 2 * math.pi * share), bias=0.01)
 
 
 def test_sun_and_background_on_an_open_floor():
@@ -396,10 +397,11 @@ def test_what_is_replaced_is_said():
 
 
 def test_batches_have_almost_equal_sizes_and_add_up():
-    for n in (1, 1000, 1024, 50_000, 3_000_001):
-        sizes = module.batch_sizes(n)
+    for n, sides in ((1, 4), (1000, 10**6), (1024, 0), (50_000, 20_000), (3_000_001, 10**6)):
+        sizes = module.batch_sizes(n, sides)
         assert sum(sizes) == n and max(sizes) - min(sizes) <= 1 and max(sizes) <= module.LARGEST
-    assert module.batch_sizes(0) == []
+    assert module.batch_sizes(0, 100) == []
+    assert len(module.batch_sizes(10**6, 10**7)) >= module.FEW_BATCHES
 
 
 def test_memory_is_told_before_and_grows_with_elements():
