@@ -5,9 +5,9 @@
 def _parts() -> tuple:
     """The modules that register something, in order."""
     from . import operators, panels
-    from .adjoint_gi.bridge import check, engine, jobs, preferences, properties
+    from .adjoint_gi.bridge import check, cli, engine, jobs, preferences, properties
 
-    return (properties, preferences, jobs, check, operators, engine, panels)
+    return (properties, preferences, jobs, check, operators, engine, panels, cli)
 
 
 def register() -> None:

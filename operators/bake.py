@@ -16,15 +16,6 @@ def tell(operator: bpy.types.Operator, notice: Notice) -> None:
     operator.report({"WARNING" if kind == "ERROR" and bpy.app.background else kind}, str(notice))
 
 
-def refused(operator: bpy.types.Operator, context: bpy.types.Context) -> bool:
-    """Tell what the check found; True when there is an error among it."""
-    notices = check.now(context)
-    for notice in notices:
-        if notice.severity != "info":
-            tell(operator, notice)
-    return any(n.severity == "error" for n in notices)
-
-
 def summary(result: bpy.types.PropertyGroup) -> str:
     """One sentence with the numbers of a bake."""
     text = f"{'Partial result' if result.partial else 'Baked'} in {result.seconds:.1f} s with {int(result.rays or 0):,} rays"
@@ -53,8 +44,6 @@ class ADJOINTGI_OT_bake(bpy.types.Operator):
         """With a window: start in the background."""
         if bpy.app.background:
             return self.execute(context)
-        if refused(self, context):
-            return {"CANCELLED"}
         try:
             jobs.start(context, request_of(context.scene, context.view_layer))
         except AdjointError as error:
@@ -64,8 +53,6 @@ class ADJOINTGI_OT_bake(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """From a script: bake to the end."""
-        if refused(self, context):
-            return {"CANCELLED"}
         manager = context.window_manager
         manager.progress_begin(0, 100)
         try:
@@ -75,8 +62,9 @@ class ADJOINTGI_OT_bake(bpy.types.Operator):
             return {"CANCELLED"}
         finally:
             manager.progress_end()
-        for notice in job.notices:
-            tell(self, notice)
+        for notice in (*job.notices, *job.bake.notices):
+            if notice.severity != "info":
+                tell(self, notice)
         if job.state != "finished" or job.solution is not None:  # a kept solution is one that was not written
             return {"CANCELLED"}
         self.report({"INFO"}, summary(context.scene.adjoint_gi.result))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..adjoint_gi.bridge import jobs, records
+from ..adjoint_gi.bridge import jobs, records, results
 from ..adjoint_gi.bridge.records import AdjointError
 from .bake import tell
 
@@ -26,10 +26,8 @@ class ADJOINTGI_OT_show_result(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Give the objects a material that emits the result."""
-        from ..adjoint_gi.bridge import preview
-
         try:
-            count = preview.show(context.scene)
+            count = results.show(context.scene)
         except AdjointError as error:
             tell(self, error.notice)
             return {"CANCELLED"}
@@ -46,9 +44,7 @@ class ADJOINTGI_OT_restore(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Put them back."""
-        from ..adjoint_gi.bridge import preview
-
-        count = preview.restore(context.scene)
+        count = results.restore(context.scene)
         self.report({"INFO"}, f"Restored the materials of {count} object{'s' if count != 1 else ''}")
         return {"FINISHED"}
 
@@ -69,9 +65,7 @@ class ADJOINTGI_OT_clear_results(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Restore, then clear."""
-        from ..adjoint_gi.bridge import preview
-
-        preview.restore(context.scene)
+        results.restore(context.scene)
         records.clear(context.scene.adjoint_gi.result)
         jobs.forget()
         return {"FINISHED"}

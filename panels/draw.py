@@ -29,41 +29,48 @@ def choice(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def taxonomy(layout: bpy.types.UILayout, context: bpy.types.Context, spec: MethodSpec) -> None:
-    """Year, authors, equation, idea and limits, read only."""
-    box = layout.box()
-    text.label(box, context, f"{spec.authors}, {spec.year}", "USER", 1)
-    text.label(box, context, spec.equation, "CON_TRANSFORM", 1)
-    text.label(box, context, spec.idea, "BLANK1", 1)
-    if spec.limits:
-        text.label(box, context, "Cannot do:", "X", 1)
-        for limit in spec.limits:
-            text.label(box, context, limit, "BLANK1", 1)
+    """Year, authors, equation, idea, and after a cross what it cannot do; read only."""
+    column = layout.box().column(align=True)
+    text.label(column, context, f"{spec.authors}, {spec.year}", "USER", 1)
+    text.label(column, context, spec.equation, "CON_TRANSFORM", 1)
+    column.separator(factor=0.5)
+    text.label(column, context, spec.idea, "INFO", 1)
+    column.separator(factor=0.5)
+    for limit in spec.limits:
+        text.label(column, context, limit, "X", 1)
 
 
 def settings(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """The settings of the chosen method: its own first, the common ones below."""
+    """The settings that only the chosen method has."""
+    _settings(layout, context, 0)
+
+
+def common_settings(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """The settings of the chosen method that every method has."""
+    _settings(layout, context, 1)
+
+
+def _settings(layout: bpy.types.UILayout, context: bpy.types.Context, which: int) -> None:
     solver = chosen(context.scene)
     if solver is None:
         return
+    _form(layout)
+    group = getattr(context.scene.adjoint_gi, group_name(solver.spec.id))
+    for name in own_and_common(solver)[which]:
+        layout.prop(group, name)
+
+
+def _form(layout: bpy.types.UILayout) -> None:
+    """Names on the left, values on the right, locked while a bake runs."""
     layout.use_property_split = True
     layout.use_property_decorate = False
     layout.enabled = not jobs.running()
-    group = getattr(context.scene.adjoint_gi, group_name(solver.spec.id))
-    own, common = own_and_common(solver)
-    column = layout.column()
-    for name in own:
-        column.prop(group, name)
-    column = layout.column()
-    for name in common:
-        column.prop(group, name)
 
 
 def output(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What is written, and where to; only what the target uses."""
     state = context.scene.adjoint_gi
-    layout.use_property_split = True
-    layout.use_property_decorate = False
-    layout.enabled = not jobs.running()
+    _form(layout)
     layout.prop(state, "target")
     if state.target != "render":
         layout.prop(state, "quantity")
@@ -77,14 +84,19 @@ def output(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
             column.prop_search(state, "uv_layer", mesh, "uv_layers", icon="GROUP_UVS")
         else:
             column.prop(state, "uv_layer", icon="GROUP_UVS")
-        column.prop(state, "margin")
-        column.prop(state, "subsamples")
     elif state.target == "attribute":
         column.prop(state, "attribute")
         column.prop(state, "domain")
         column.prop(state, "new_object")
     if state.target != "attribute":
         layout.prop(state, "folder")
+
+
+def texels(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """What is seldom changed about a texture."""
+    _form(layout)
+    layout.prop(context.scene.adjoint_gi, "margin")
+    layout.prop(context.scene.adjoint_gi, "subsamples")
 
 
 def bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

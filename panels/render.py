@@ -66,8 +66,9 @@ class ADJOINTGI_PT_render_settings(Properties, bpy.types.Panel):
         return super().poll(context) and chosen(context.scene) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
-        """All fields of its settings."""
+        """Its own fields, then the common ones."""
         draw.settings(self.layout, context)
+        draw.common_settings(self.layout, context)
 
 
 class ADJOINTGI_PT_render_film(Properties, bpy.types.Panel):

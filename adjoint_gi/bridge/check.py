@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+import traceback
 
 import bpy
 
@@ -50,6 +51,9 @@ def _check(context: bpy.types.Context, request: BakeRequest | Notice) -> tuple[N
         return tuple(preflight(context, request))
     except AdjointError as error:
         return (error.notice,)
+    except Exception as error:  # from a timer nobody would see it, and the panel would look as if nothing were wrong
+        traceback.print_exc()
+        return (Notice("Check", f"failed with {type(error).__name__}: {error}", "Report this with the scene", "error"),)
 
 
 def cached(scene: bpy.types.Scene) -> tuple[Notice, ...] | None:

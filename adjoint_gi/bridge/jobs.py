@@ -18,7 +18,9 @@ import bpy
 from ..core.errors import AdjointError, Notice
 from ..core.solution import Solution
 from . import kept, preferences, records
-from .watch import Targets, mesh_objects
+from .lightmap_uv import find_uv_layer
+from .preflight import target_objects
+from .watch import Targets
 
 if TYPE_CHECKING:
     from .bake import Bake, BakeRequest
@@ -37,8 +39,10 @@ class Job:
     def __init__(self, context: bpy.types.Context, request: BakeRequest) -> None:
         self.request = request
         self.scene = context.scene.session_uid
-        self.targets = Targets(mesh_objects(request.objects, context.view_layer) if request.target != "render" else ())
         self.bake = new_bake(context, request)
+        objects = target_objects(context, request) if request.target != "render" else ()
+        layers = {o.session_uid: find_uv_layer(o, request.uv_layer) for o in objects} if request.target == "texture" else {}
+        self.targets = Targets(objects, layers)
         self.state = "running"
         self.notices: list[Notice] = []
         self.solution: Solution | None = None  # kept while it could not be written
@@ -110,22 +114,17 @@ class Job:
         if applied:
             try:
                 self.bake.write(solution)
-                files = list(self.bake.report().get("files", ()))
+                files = self.bake.files
             except AdjointError as error:
                 self.notices, applied = [error.notice], False
         if not applied:
             files = [kept.save(solution)]
             self.notices.append(Notice("", f"The result is kept in {files[0]} and was not written to the objects", "", "warning"))
         if scene is not None:
-            quantity = self.request.quantity
+            notices = dict.fromkeys([*self.notices, *self.bake.notices, *solution.warnings])
+            record = scene.adjoint_gi.result
             records.store(
-                scene.adjoint_gi.result,
-                solution,
-                target=self.request.target,
-                quantity=quantity,
-                applied=applied,
-                files=files,
-                notices=self.notices,
+                record, solution, target=self.request.target, quantity=self.request.quantity, applied=applied, files=files, notices=notices
             )
             push_undo("Adjoint GI Bake" if self.state == "finished" else "Adjoint GI Partial Bake")
         if applied:

@@ -59,7 +59,7 @@ def store(
     files: Iterable[str] = (),
     notices: Iterable[Notice] = (),
 ) -> None:
-    """Put the numbers of `solution` and all notices into `record`."""
+    """Put the numbers of `solution` and `notices` into `record`."""
     clear(record)
     record.method, record.target, record.quantity = solution.method, target, quantity
     record.seconds, record.rays, record.partial = solution.seconds, str(int(solution.rays)), solution.partial
@@ -73,7 +73,7 @@ def store(
     got = solution.weight > 0
     if got.any():
         record.mean = solution.quantity(name)[got].mean(axis=0, dtype=float).tolist()
-    for notice in (*notices, *solution.warnings):
+    for notice in notices:
         item = record.notices.add()
         item.object, item.reason, item.remedy, item.severity = notice.object, notice.reason, notice.remedy, notice.severity
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import bpy
@@ -15,18 +15,23 @@ from ..core.errors import Notice
 
 @dataclass(frozen=True)
 class Print:
-    """What is remembered of one object; `shape` is a checksum of the positions and faces of its mesh."""
+    """What is remembered of one object: counts and a checksum of its mesh, and a checksum of the UV layer that is baked into."""
 
     name: str
     counts: tuple[int, int, int]
     shape: int
+    uv: int
 
 
 class Targets:
-    """The prints of some objects by session_uid. An object may be renamed meanwhile; it may not be deleted or edited."""
+    """The prints of some objects by session_uid. An object may be renamed meanwhile; it may not be deleted or edited.
 
-    def __init__(self, objects: Iterable[bpy.types.Object]) -> None:
-        self._prints = {o.session_uid: Print(o.name, _counts(o.data), _shape(o.data)) for o in objects}
+    `layers` names, by session_uid, the UV layer that an object is baked into, if any.
+    """
+
+    def __init__(self, objects: Iterable[bpy.types.Object], layers: Mapping[int, str] | None = None) -> None:
+        self._layers = layers or {}
+        self._prints = {o.session_uid: Print(o.name, _counts(o.data), _shape(o.data), self._uv(o)) for o in objects}
 
     def problems(self, thorough: bool = True) -> list[Notice]:
         """Why a result can no longer be written to its objects; empty when it can. Without `thorough`, positions are not compared."""
@@ -40,13 +45,22 @@ class Targets:
                 out.append(Notice(now.name, "is in Edit Mode", "Leave Edit Mode, then press Write Result", "error"))
             elif _counts(now.data) != seen.counts or (thorough and _shape(now.data) != seen.shape):
                 out.append(Notice(now.name, "had its mesh edited while it was baked", "Undo the edit or bake again", "error"))
+            elif not self._same_layer(now, seen, thorough):
+                out.append(Notice(now.name, "had the UV layer changed that it is baked into", "Undo that or bake again", "error"))
         return out
 
+    def _same_layer(self, now: bpy.types.Object, seen: Print, thorough: bool) -> bool:
+        name = self._layers.get(now.session_uid, "")
+        return not name or (name in now.data.uv_layers and (not thorough or self._uv(now) == seen.uv))
 
-def mesh_objects(names: Iterable[str], view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
-    """The mesh objects called `names`, or all that are rendered when no name is given."""
-    wanted = set(names)
-    return [o for o in view_layer.objects if o.type == "MESH" and (o.name in wanted if wanted else not o.hide_render)]
+    def _uv(self, obj: bpy.types.Object) -> int:
+        """Checksum of the UV layer, 0 where there is none."""
+        layer = obj.data.uv_layers.get(self._layers.get(obj.session_uid, ""))
+        if layer is None:
+            return 0
+        values = np.empty(2 * len(obj.data.loops), np.float32)
+        layer.uv.foreach_get("vector", values)
+        return zlib.crc32(values.tobytes())
 
 
 def _counts(mesh: bpy.types.Mesh) -> tuple[int, int, int]:

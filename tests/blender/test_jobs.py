@@ -4,15 +4,16 @@
 Timers do not fire without a window, so the tests call what the timer calls.
 """
 
+import dataclasses
 import threading
 import time
-import types
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.bridge import jobs
+from adjgi.adjoint_gi.bridge.request import BakeRequest
 from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.driver import Driver
 from adjgi.adjoint_gi.core.errors import AdjointError, TargetError
@@ -34,14 +35,14 @@ class FakeBake:
         receivers = SurfaceReceivers("texels", np.arange(5), np.zeros(4), np.full(4, 0.2), np.full(4, 0.2))
         self.driver = Driver(Fake(), World(b.build()), receivers, request.settings)
         self.written = []
+        self.notices = []
+        self.files = []
 
     def write(self, solution):
         if FakeBake.refuse is not None:
             raise FakeBake.refuse
         self.written.append(solution)
-
-    def report(self):
-        return {"files": ["result.exr"]}
+        self.files = ["result.exr"]
 
 
 @pytest.fixture
@@ -59,7 +60,7 @@ def scene(registered, monkeypatch):
 
 def request(steps=10**6, pause=0.01, **values):
     settings = FakeSettings(steps=steps, pause=pause, **values)
-    return types.SimpleNamespace(method="fake", settings=settings, target="texture", quantity="irradiance", objects=("Square",))
+    return BakeRequest("fake", settings, objects=("Square",), uv_layer="UVMap")
 
 
 def start(**values):
@@ -161,7 +162,7 @@ def test_an_unexpected_exception_ends_the_job(scene):
     assert "ZeroDivisionError: by zero" in str(job.notices[0])
 
 
-@pytest.mark.parametrize("change", ["delete", "edit", "edit mode", "scene"])
+@pytest.mark.parametrize("change", ["delete", "edit", "edit mode", "uv", "uv layer", "scene"])
 def test_changed_objects_get_nothing_and_the_result_is_kept_as_a_file(scene, change, tmp_path, monkeypatch):
     monkeypatch.setattr(jobs.kept, "folder", lambda: tmp_path)
     job = start(steps=60, pause=0.005)
@@ -170,6 +171,10 @@ def test_changed_objects_get_nothing_and_the_result_is_kept_as_a_file(scene, cha
         bpy.data.objects.remove(square)
     elif change == "edit":
         square.data.vertices[0].co.z = 1.0
+    elif change == "uv":
+        square.data.uv_layers["UVMap"].uv[0].vector.x = 0.25
+    elif change == "uv layer":
+        square.data.uv_layers.remove(square.data.uv_layers["UVMap"])
     elif change == "edit mode":
         bpy.ops.object.mode_set(mode="EDIT")
     else:
@@ -178,7 +183,8 @@ def test_changed_objects_get_nothing_and_the_result_is_kept_as_a_file(scene, cha
     ticks(lambda: not job.active)
     assert job.state == "finished"
     words = " ".join(map(str, job.notices))
-    assert {"delete": "deleted", "edit": "edited", "edit mode": "Edit Mode", "scene": "Scene"}[change] in words
+    said = {"edit mode": "Edit Mode", "uv": "UV layer", "uv layer": "UV layer", "scene": "Scene"}
+    assert said.get(change, change) in words
     assert "kept in" in words
     assert not [s for s in job.bake.written if not s.partial]
     (file,) = tmp_path.iterdir()
@@ -249,8 +255,7 @@ def test_undo_of_the_baked_object_stops_the_job(scene, tmp_path, monkeypatch):
     monkeypatch.setattr(jobs.kept, "folder", lambda: tmp_path)
     square("Late")
     bpy.ops.ed.undo_push(message="Add")
-    r = request()
-    r.objects = ("Late",)
+    r = dataclasses.replace(request(), objects=("Late",))
     job = jobs.start(bpy.context, r)
     ticks(lambda: job.bake.driver.version > 0)
     bpy.ops.ed.undo()

@@ -24,6 +24,9 @@ class Layout:
     def _inner(self, **_):
         return Layout(self.drawn)
 
+    def separator(self, factor=1.0):
+        pass
+
     row = column = box = split = _inner
 
     def _add(self, kind, what, icon="NONE"):
@@ -91,13 +94,14 @@ def test_every_method_shows_what_it_is(state):
 def test_every_setting_of_the_chosen_method_and_no_other(state):
     for m in registry.methods():
         state.method = m.spec.id
-        assert sorted(drawn(draw.settings).names("prop")) == sorted(m.Settings.__dataclass_fields__)
+        shown = drawn(draw.settings).names("prop") + drawn(draw.common_settings).names("prop")
+        assert sorted(shown) == sorted(m.Settings.__dataclass_fields__)
 
 
 @pytest.mark.parametrize(
     ("target", "there", "missing"),
     [
-        ("texture", {"resolution", "atlas", "uv_layer", "margin", "subsamples", "folder", "quantity"}, {"attribute", "domain"}),
+        ("texture", {"resolution", "atlas", "uv_layer", "folder", "quantity"}, {"attribute", "domain"}),
         ("attribute", {"attribute", "domain", "new_object", "quantity", "selection_only"}, {"resolution", "uv_layer"}),
         ("render", {"folder"}, {"quantity", "attribute", "resolution", "selection_only"}),
     ],
@@ -136,7 +140,7 @@ def test_a_running_job_can_only_be_stopped(state, monkeypatch):
 def test_result_shows_its_numbers(state):
     assert not view3d.ADJOINTGI_PT_result.poll(bpy.context)
     solution = next(Fake().solve(None, type("R", (), {"count": 3, "measure": "irradiance"}), FakeSettings(), None)).solution()
-    records.store(state.result, solution, target="texture", quantity="direct", applied=True)
+    records.store(state.result, solution, target="texture", quantity="direct", applied=True, notices=solution.warnings)
     assert view3d.ADJOINTGI_PT_result.poll(bpy.context)
     layout = drawn(draw.result)
     for word in ("3.00 billion", "10 W", "8 W", "1.9 W", "1 %", "Material Fake: is not real", "Partial result"):
