@@ -1,0 +1,198 @@
+"""Irradiance caching (Ward, Rubinstein and Clear 1988; review, section 6.1): distribution ray tracing that remembers.
+
+Gathering, nondeterministic. On diffuse surfaces the interreflected part of Eq. 9 is reflectance times irradiance,
+
+    int fr Lr cos dw = fd int Lr cos dw = fd * irradiance,
+
+and the irradiance changes slowly. It is computed by stratified rays at a few points only and interpolated in between; the accuracy
+setting says how far a value may be used. Direct light is computed at every point. Gradients: G. Ward and P. Heckbert 1992.
+
+G. J. Ward, F. M. Rubinstein, R. D. Clear, "A Ray Tracing Solution for Diffuse Interreflection", SIGGRAPH 1988, 85-92.
+G. Ward, P. Heckbert, "Irradiance Gradients", Eurographics Workshop on Rendering 1992, 85-98.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..adjoint_gi.core import settings as base
+from ..adjoint_gi.core.bsdf import BsdfTable, frame
+from ..adjoint_gi.core.direct import direct_irradiance
+from ..adjoint_gi.core.emitters import Emitters
+from ..adjoint_gi.core.gathering import Run
+from ..adjoint_gi.core.irradiance_records import RecordIndex, Records, gradients, hemisphere
+from ..adjoint_gi.core.parallel import in_order
+from ..adjoint_gi.core.radiance import Gathered, Walk, gather, lobes_of
+from ..adjoint_gi.core.receivers import Receivers
+from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.settings import setting
+from ..adjoint_gi.core.solution import Step
+from ..adjoint_gi.core.world import Surface, World
+
+BLOCK = 64  # records made together
+ROUND = 512  # records made before the cache is asked again
+
+
+@dataclass(frozen=True)
+class CacheSettings(base.Settings):
+    """Settings of irradiance caching."""
+
+    accuracy: float = setting(
+        0.25,
+        label="Accuracy",
+        help="Largest error a cached value may have where it is used; the error falls with it",
+        min=0.001,
+        max=2.0,
+        soft_max=0.5,
+    )
+    rays: int = setting(512, label="Rays", help="Rays over the hemisphere of each cached value", min=16, max=65536, soft_max=4096)
+    gradients: bool = setting(
+        True, label="Gradients", help="Extrapolate each value by its rotation and translation gradients (Ward and Heckbert)"
+    )
+    light_samples: int = setting(8, label="Light Samples", help="Light points for direct light at each point", min=1, max=4096, soft_max=64)
+    min_spacing: float = setting(
+        0.01,
+        label="Min Spacing",
+        help="Smallest radius of a cached value, as a share of the scene's size",
+        min=1e-6,
+        max=1.0,
+        soft_max=0.1,
+    )
+
+
+@register
+class IrradianceCache(Solver):
+    """First fills the cache for all receiver points, coarse to fine, then reads it."""
+
+    spec = MethodSpec(
+        id="irradiance_cache",
+        number=7,
+        label="Irradiance Caching",
+        strategies=(Strategy.GATHERING,),
+        natures=(Nature.NONDETERMINISTIC,),
+        year=1988,
+        authors="G. J. Ward, F. M. Rubinstein, R. D. Clear",
+        title="A Ray Tracing Solution for Diffuse Interreflection",
+        equation="int fr Lr cos dw = fd * irradiance, interpolated between cached points",
+        section="6.1",
+        idea="Indirect irradiance is computed at a few points, as far apart as their surroundings allow, and interpolated between them.",
+        limits=(
+            "Receivers are diffuse: other lobes there are taken as diffuse; paths beyond them see all lobes",
+            "Interpolation leaves smooth blotches where rays are few; they fall with Accuracy and Rays together",
+        ),
+        lobes=frozenset({"diffuse", "emission"}),
+    )
+    Settings = CacheSettings
+
+    def memory(self, world: World, receivers: Receivers, settings: CacheSettings) -> int:
+        """The receivers' points, and the rays of one round of records."""
+        return receivers.count * 600 + ROUND * settings.rays * 400
+
+    def solve(self, world: World, receivers: Receivers, settings: CacheSettings, rng: np.random.Generator) -> Iterator[Step]:
+        """Yield after every round of records, then as the receivers are read."""
+        emitters = Emitters(world)
+        run = Run(self.spec, world, receivers, settings, emitters)
+        walk = Walk(world, emitters, BsdfTable(world.scene), settings.min_length, settings.max_length)
+        seed = rng.integers(0, 1 << 63, 4).tolist()
+        state = _State(world, settings, walk, seed)
+
+        # Step 1: fill the cache. Every 64th point first, so that records spread out before they fill in.
+        if settings.max_length >= 2:
+            for stride, start in ((64, 0), (8, 4), (1, 0)):
+                for share in state.cover(receivers, stride, start, run):
+                    if run.clock.due():
+                        text = f"{len(state.records.radius):,} cached values, pass of every {stride}"
+                        yield from run.clock.pause(Step(min(0.8, 0.8 * share / stride), text, run.solution))
+
+        # Step 2: read it. The index does not change any more, so threads may share it.
+        direct_counts = settings.min_length <= 1 <= settings.max_length
+
+        def estimate(surface: Surface, wo: np.ndarray | None, generator: np.random.Generator) -> Gathered:
+            zero = np.zeros((len(surface.triangle), 3), np.float32)
+            direct, rays = direct_irradiance(world, emitters, surface, settings.light_samples, generator) if direct_counts else (zero, 0)
+            indirect = state.index.irradiance(surface.position, surface.ns, settings.gradients)[0] if settings.max_length >= 2 else zero
+            if wo is not None:
+                fd = world.albedo(surface) / np.float32(np.pi)
+                direct, indirect = direct * fd, indirect * fd
+            return Gathered(direct, indirect, rays)
+
+        for step in run.sites(estimate):
+            yield Step(0.8 + 0.2 * step.fraction, step.text, step.solution)
+
+
+class _State:
+    """The cache while it grows; only the thread that drives the solver changes it."""
+
+    def __init__(self, world: World, settings: CacheSettings, walk: Walk, seed: list[int]) -> None:
+        self.world, self.settings, self.walk, self.seed = world, settings, walk, seed
+        self.rows = max(4, round((settings.rays / np.pi) ** 0.5))
+        self.cols = max(4, round(settings.rays / self.rows))
+        self.records = Records.empty()
+        self.index = RecordIndex(self.records, settings.accuracy, 1.01 * world.size)
+
+    def cover(self, receivers: Receivers, stride: int, start: int, run: Run) -> Iterator[float]:
+        """Make records until every `stride`-th receiver point has one; yields the share done."""
+        for points in receivers.sites():
+            at = np.flatnonzero(points.triangle >= 0)[start::stride]
+            towards = None if points.towards is None else points.towards[at]
+            surface = self.world.surface(points.triangle[at], points.u[at], points.v[at], towards)
+            while True:
+                bare = np.flatnonzero(~self.index.covered(surface.position, surface.ns))
+                if not len(bare):
+                    break
+                # Points that lie far apart in the receivers' order, so that one round does not crowd one place.
+                pick = bare[:: max(1, len(bare) // ROUND)][:ROUND]
+                yield from self._add(surface, pick, run)
+            yield (int(points.receiver.max()) + 1) / receivers.count
+
+    def _add(self, surface: Surface, pick: np.ndarray, run: Run) -> Iterator[float]:
+        blocks = [pick[a : a + BLOCK] for a in range(0, len(pick), BLOCK)]
+        first = len(self.records.radius)
+
+        def make(item: tuple[int, np.ndarray]) -> tuple[Records, int]:
+            index, block = item
+            generator = np.random.Generator(np.random.SFC64([*self.seed, first + index * BLOCK]))
+            return self._make(surface, block, generator)
+
+        for records, rays in in_order(make, enumerate(blocks)):
+            self.records = self.records.joined(records)
+            run.rays += rays
+            yield 0.0
+        self.index = RecordIndex(self.records, self.settings.accuracy, 1.01 * self.world.size)
+
+    def _make(self, surface: Surface, which: np.ndarray, rng: np.random.Generator) -> tuple[Records, int]:
+        """Records at some points: stratified rays over the hemisphere, each followed by a random walk."""
+        world, n = self.world, len(which)
+        position, ng, ns = surface.position[which], surface.ng[which], surface.ns[which]
+        x, y = frame(ns)
+        local, _ = hemisphere(self.rows, self.cols, rng, n)
+        d = local[..., :1] * x[:, None, None] + local[..., 1:2] * y[:, None, None] + local[..., 2:] * ns[:, None, None]
+        direction = np.ascontiguousarray(d.reshape(-1, 3), np.float32)
+        many = self.rows * self.cols
+        origin = np.repeat(position + np.float32(world.offset) * ng, many, axis=0)
+        # Rays below the geometric surface bring nothing.
+        up = np.einsum("ij,ij->i", direction, np.repeat(ng, many, axis=0)) > 0
+        triangle, u, v, t = world.intersect(origin, direction)
+        hit = np.flatnonzero((triangle >= 0) & up)
+        there = world.surface(triangle[hit], u[hit], v[hit], -direction[hit])
+        found = gather(self.walk, there, lobes_of(self.walk, there, -direction[hit]), rng, first_length=2)
+        radiance = np.zeros((len(direction), 3), np.float32)
+        radiance[hit] = found.indirect
+        distance = np.full(len(direction), 4 * world.size, np.float32)
+        distance[hit] = np.maximum(t[hit], np.float32(1e-6 * world.size))
+        shape = (n, self.rows, self.cols)
+        radiance, distance = radiance.reshape(*shape, 3), distance.reshape(shape)
+
+        irradiance = radiance.mean(axis=(1, 2)) * np.float32(np.pi)
+        radius = 1 / (1 / distance).mean(axis=(1, 2))
+        rotation, translation = gradients(radiance, distance, local, x, y)
+        if self.settings.gradients:
+            # Nothing may be extrapolated to below zero within its reach.
+            slope = np.sqrt((translation.sum(axis=1) ** 2).sum(axis=1))
+            radius = np.minimum(radius, irradiance.sum(axis=1) / np.maximum(slope, np.float32(1e-20)))
+        radius = np.clip(radius, self.settings.min_spacing * world.size / self.settings.accuracy, 2 * world.size)
+        radius = radius.astype(np.float32)
+        return Records(position, ns, irradiance.astype(np.float32), radius, rotation, translation), len(direction) + found.rays
