@@ -57,7 +57,7 @@ class Shading:
             if other:
                 reason = f"{', '.join(other)} taken as diffuse by this method"
                 out.append(Notice(f"Material {material.name}", reason, "Choose a method that handles it, or accept the substitute"))
-        return tuple(out)
+        return tuple(dict.fromkeys(out))
 
 
 class ColorField:
