@@ -29,12 +29,11 @@ def working_space_notice(notices: Notices) -> None:
 
 
 def uses_nodes(owner: bpy.types.Material | bpy.types.World | bpy.types.Light) -> bool:
-    """Whether the node tree counts: materials and worlds of Blender 5.0 and later always use it, lights and earlier files ask."""
+    """Whether the node tree counts: always where the switch is deprecated (materials and worlds from 5.0, lights from 5.2 on)."""
     if owner.node_tree is None:
         return False
-    if hasattr(bpy.data, "colorspace") and not isinstance(owner, bpy.types.Light):
-        return True  # `use_nodes` is deprecated there and warns when read
-    return bool(owner.use_nodes)
+    switch = owner.bl_rna.properties.get("use_nodes")
+    return switch is None or getattr(switch, "is_deprecated", False) or bool(owner.use_nodes)
 
 
 def light_exposure(light: Any) -> float:
