@@ -17,19 +17,17 @@ RESULTS = "adjoint_gi_results"
 
 
 def check_object(obj: bpy.types.Object) -> None:
-    """Raise TargetError unless `obj` is a mesh object of this file that is not being edited."""
+    """Raise TargetError unless `obj` is a mesh object of this file."""
     if obj.type != "MESH":
         raise TargetError(obj.name, f"is a {obj.type.lower()} and has no mesh to write to", "Convert it to a mesh")
     if not obj.is_editable or obj.library is not None:
         raise TargetError(obj.name, "is linked from another file and cannot keep a result", "Make it local, or bake in its own file")
     if obj.override_library is not None:
         raise TargetError(obj.name, "is a library override and cannot keep a result", "Make it local, or bake in its own file")
-    if obj.mode == "EDIT":
-        raise TargetError(obj.name, "is in edit mode", "Leave edit mode first")
 
 
 def check_mesh(obj: bpy.types.Object) -> None:
-    """`check_object`, and that the mesh itself may be changed."""
+    """`check_object`, and that the mesh itself may be changed: not linked, and in edit mode on no object."""
     check_object(obj)
     mesh = obj.data
     if not mesh.is_editable or mesh.library is not None or mesh.override_library is not None:

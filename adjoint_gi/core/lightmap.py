@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from .charts import uv_charts, weld
-from .errors import Notice, TargetError
+from .errors import MemoryRefused, Notice, TargetError
 from .receivers import SurfaceReceivers
 from .world import World
 
 CHUNK = 1 << 20  # candidate texels looked at in one go
 LARGEST = 16384  # texels a side
+MEMORY_LIMIT = 16 << 30  # bytes
+INSIDE = 1e-5  # barycentric distance that points keep from the edges: a ray must not start inside the wall at the end of a floor
 STRICT = 1e-3  # barycentric distance from the edges at which a point counts as inside two triangles at once
 
 
@@ -95,18 +97,24 @@ def rasterize(
     resolution: int | tuple[int, int] = 512,
     subsamples: int = 4,
     placement: Mapping[int, Placement] | None = None,
+    memory_limit: int = MEMORY_LIMIT,
 ) -> Lightmap:
     """Find the surface points of every texel of an image shared by `objects` (indices into `world.scene.objects`).
 
     `uv_layer` is one name for all, or one for each object; "" is the layer used for rendering. `resolution` is (width, height).
     A texel is covered if any of its `subsamples` places lies inside a triangle; a place that two triangles claim goes to the one
-    with the lower index. Raises TargetError for a missing layer or when no texel is covered.
+    with the lower index. Raises TargetError for a missing layer or when no texel is covered, MemoryRefused above `memory_limit`.
     """
     width, height = (resolution, resolution) if isinstance(resolution, int) else resolution
     if not (1 <= width <= LARGEST and 1 <= height <= LARGEST):
         raise TargetError("Lightmap", f"{width} x {height} texels are not possible", f"Choose 1 to {LARGEST}")
     if subsamples < 1:
         raise TargetError("Lightmap", f"{subsamples} sub-samples are not possible", "Choose at least 1")
+    need = memory(width, height, subsamples)
+    if need > memory_limit:
+        sizes = f"{need / 2**30:.1f} GiB, allowed are {memory_limit / 2**30:.1f} GiB"
+        reason = f"{width} x {height} texels with {subsamples} sub-samples need {sizes}"
+        raise MemoryRefused("Lightmap", reason, "Lower the resolution or the sub-samples")
 
     # Step 1: one list of UV triangles, in units of texels.
     triangle, uv, chart, charts = _gather(world, objects, uv_layer, placement or {})
@@ -142,7 +150,7 @@ def rasterize(
             free = np.flatnonzero(claim[place] == 0)[::-1]
             claim[place[free]] = mine[free]
             own = claim[place] == mine
-            u[place[own]], v[place[own]] = np.clip(a[own], 0, 1), np.clip(b[own], 0, 1)
+            u[place[own]], v[place[own]] = _kept_inside(a[own], b[own])
             lost = np.flatnonzero(~own & (np.minimum(np.minimum(a, b), 1 - a - b) > STRICT))
             if len(lost):
                 at = place[lost]
@@ -254,6 +262,13 @@ def _candidates(xy: np.ndarray, work: np.ndarray, width: int, height: int) -> It
         for part in _blocks(np.maximum(last - first, 0), CHUNK):
             index, column = _expand(np.arange(part.start, part.stop), first[part], last[part])
             yield which[index], row[index], column
+
+
+def _kept_inside(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Barycentrics moved off the edges of the triangle by at least INSIDE, where they are closer."""
+    a, b = np.clip(a, INSIDE, 1 - 2 * INSIDE), np.clip(b, INSIDE, 1 - 2 * INSIDE)
+    excess = 0.5 * np.maximum(a + b - (1 - INSIDE), 0)
+    return a - excess, b - excess
 
 
 def _row_extent(xy: np.ndarray, which: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

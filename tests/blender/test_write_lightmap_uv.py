@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from pathlib import Path
+
 import bpy
 import numpy as np
 import pytest
@@ -64,6 +67,30 @@ def test_no_overlap_every_face_has_texels_and_charts_are_apart(shape):
             keep = np.ones_like(lm.covered)
             keep[(slice(step),) if axis == 0 else (slice(None), slice(step))] = False
             assert not np.any(keep & (a >= 0) & (lm.chart >= 0) & (a != lm.chart))
+
+
+def test_a_game_level_is_unwrapped_and_rasterized_in_seconds():
+    """58,737 triangles with tiled UVs: about 4 s alone on two cores for the layer, 0.3 s for the texels."""
+    path = Path(__file__).resolve().parents[3] / "shared" / "scenes" / "zdm2.blend"
+    if not path.exists():
+        pytest.skip(f"{path.name} is not in ../shared/scenes")
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    obj = next(o for o in bpy.data.objects if o.type == "MESH")
+    bpy.context.view_layer.objects.active = obj
+    bpy.ops.object.mode_set(mode="OBJECT")  # the file was saved in edit mode
+    start = time.perf_counter()
+    name = make_lightmap_uv(obj, resolution=2048, padding=2)
+    assert time.perf_counter() - start < 40
+    m = read_mesh(obj.data, obj.name, Notices())
+    b = SceneBuilder()
+    b.mesh(obj.name, m.vertices, m.triangles, diffuse("White", 0.5), uv=m.uvs[name])
+    world = World(b.build())
+    start = time.perf_counter()
+    lm = rasterize(world, [0], "UVMap", 512)
+    assert time.perf_counter() - start < 8
+    lm = rasterize(world, [0], "UVMap", 2048)
+    assert lm.overlapping <= 20 and lm.outside == 0
+    assert len(np.unique(lm.receivers.triangle)) > 0.85 * len(m.triangles)
 
 
 def density(obj, layer):

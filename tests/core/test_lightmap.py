@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.core import charts, lightmap
 from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.errors import TargetError
+from adjgi.adjoint_gi.core.errors import MemoryRefused, TargetError
 from adjgi.adjoint_gi.core.lightmap import Placement, rasterize
 from adjgi.adjoint_gi.core.world import World
 from adjgi.tests.scenes import icosphere
@@ -170,6 +170,19 @@ def test_impossible_resolution_is_refused(resolution):
         rasterize(flat_world(rectangle(0, 0, 1, 1)), [0], resolution=resolution)
 
 
+def test_too_much_memory_is_refused_with_both_numbers():
+    with pytest.raises(MemoryRefused, match=r"need 115.3 GiB, allowed are 16.0 GiB"):
+        rasterize(flat_world(rectangle(0, 0, 1, 1)), [0], resolution=16384, subsamples=16)
+
+
+def test_points_on_the_edge_of_a_face_keep_off_it():
+    """Texel centres on the edges: a ray from there would start inside whatever stands on the edge."""
+    lm = rasterize(flat_world(rectangle(0.125, 0.125, 0.875, 0.875)), [0], resolution=4, subsamples=1)
+    assert lm.covered.all()
+    r = lm.receivers
+    assert min(r.u.min(), r.v.min(), (1 - r.u - r.v).min()) > 0.9e-5
+
+
 def test_one_texel_is_enough():
     lm = rasterize(flat_world(rectangle(0, 0, 1, 1)), [0], resolution=1, subsamples=2)
     assert lm.receivers.count == 1 and lm.covered.shape == (1, 1)
@@ -228,7 +241,7 @@ def test_join_keeps_every_point():
 
 
 def test_many_triangles_are_fast_enough():
-    """80,000 triangles into 512 x 512 texels: measured 0.5 s here, allowed four times that."""
+    """82,000 triangles into 512 x 512 texels: 0.6 s alone on two cores, allowed eight seconds."""
     vertices, triangles = icosphere(6)
     b = SceneBuilder()
     uv = (vertices[triangles][..., :2] * 0.49 + 0.5).astype(np.float32)
