@@ -16,7 +16,8 @@ WHITE = (0.73, 0.73, 0.73)
 RED = (0.63, 0.065, 0.05)
 GREEN = (0.14, 0.45, 0.091)
 LAMP = 0.3  # m, sides of the square light
-POWER = 8.0  # W: pictures need no exposure
+POWER = 5.0  # W: pictures need no exposure
+CELLS = 16  # faces along a wall, so that vertex colours have something to hold
 DISTANCE = 1.4  # m, camera in front of the opening
 
 Vector = tuple[float, float, float]
@@ -94,21 +95,35 @@ def black_world(world: bpy.types.World, color: Vector = (0, 0, 0)) -> None:
 
 
 def quad(scene: bpy.types.Scene, name: str, corner: Vector, x: Vector, y: Vector, color: bpy.types.Material) -> bpy.types.Object:
-    """A parallelogram with the normal x cross y and a UV layer that fills the unit square."""
-    points = [corner, _sum(corner, x), _sum(corner, x, y), _sum(corner, y)]
-    return mesh_object(scene, name, points, [(0, 1, 2, 3)], color)
+    """A parallelogram of CELLS x CELLS faces with the normal x cross y."""
+    points, faces = grid(corner, x, y, CELLS)
+    return mesh_object(scene, name, points, faces, color)
 
 
 def box(
     scene: bpy.types.Scene, name: str, centre: tuple[float, float], size: Vector, degrees: float, color: bpy.types.Material
 ) -> bpy.types.Object:
     """A box without a bottom that stands on the floor, turned about the vertical, normals outward."""
-    x, y, z = size[0] / 2, size[1] / 2, size[2]
-    points = [(a, b, c) for c in (0, z) for a, b in ((-x, -y), (x, -y), (x, y), (-x, y))]
-    faces = [(0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7), (4, 5, 6, 7)]
+    a, b, c = size
+    low, far, top = (-a / 2, -b / 2, 0), (a / 2, b / 2, 0), (-a / 2, -b / 2, c)
+    x, y, z = (a, 0, 0), (0, b, 0), (0, 0, c)
+    sides = [(low, x, z), (_sum(low, x), y, z), (far, (-a, 0, 0), z), (_sum(low, y), (0, -b, 0), z), (top, x, y)]
+    points, faces = [], []
+    for side in sides:
+        more, cells = grid(*side, CELLS // 2)
+        faces += [tuple(i + len(points) for i in face) for face in cells]
+        points += more
     made = mesh_object(scene, name, points, faces, color)
     made.matrix_world = Matrix.Translation((*centre, 0)) @ Matrix.Rotation(radians(degrees), 4, "Z")
     return made
+
+
+def grid(corner: Vector, x: Vector, y: Vector, cells: int) -> tuple[list[Vector], list[tuple[int, ...]]]:
+    """Points and faces of a parallelogram cut into `cells` by `cells` faces."""
+    n = cells + 1
+    points = [tuple(c + i / cells * p + j / cells * q for c, p, q in zip(corner, x, y, strict=True)) for j in range(n) for i in range(n)]
+    faces = [(j * n + i, j * n + i + 1, (j + 1) * n + i + 1, (j + 1) * n + i) for j in range(cells) for i in range(cells)]
+    return points, faces
 
 
 def mesh_object(
