@@ -14,7 +14,8 @@ from . import sampling
 from .sampling import ONE, PI, TWO_PI, dot
 from .scene import Light
 
-POINT, SPHERE, DISK, RECTANGLE, ELLIPSE, SUN, SUN_DISK = range(7)
+# NARROW: an area lamp of either shape with a spread, of which only a part shines on a point.
+POINT, SPHERE, DISK, RECTANGLE, ELLIPSE, NARROW, SUN, SUN_DISK = range(8)
 FAR = np.float32(1e30)  # distance of a sun
 INF = np.float32(np.inf)
 
@@ -48,11 +49,8 @@ class Lamps:
         self.spot_scale = np.array([x.spot_scale for x in lights], np.float32).reshape(-1, 2).T
 
         # The spread of an area lamp: radiance times max(tan h - tan a, 0) / (tan h - h); the full spread leaves it as it is.
-        h = 0.5 * np.array([x.spread for x in lights])
-        narrow = (h < 0.5 * np.pi - 1e-4) & np.isin(self.kind, (RECTANGLE, ELLIPSE))
-        h = np.maximum(np.where(narrow, h, 1.0), 1e-3)
-        self.narrow = narrow
-        self.any_narrow = bool(narrow.any())
+        h = np.clip(0.5 * np.array([x.spread for x in lights]), 1e-3, 1.57)
+        self.round = np.array([x.shape == "ELLIPSE" for x in lights], bool)
         self.tan_spread = np.tan(h).astype(np.float32)
         self.spread_norm = (1 / (np.tan(h) - h)).astype(np.float32)
 
@@ -64,7 +62,6 @@ class Lamps:
         color[disk] /= np.pi * np.sin(angle[disk, None]) ** 2
         self.color = np.ascontiguousarray(color.T, np.float32)
         self.power = _flux(lights, size)
-        self.radius_max = size
 
     def spot(self, i: np.ndarray | int, out: np.ndarray) -> np.ndarray:
         """(n,) share of the intensity that spots `i` send towards unit directions `out` (3, n), which leave the lamp."""
@@ -76,11 +73,24 @@ class Lamps:
         return t * t * (3 - 2 * t)
 
     def spread(self, i: np.ndarray | int, cosine: np.ndarray) -> np.ndarray:
-        """(n,) share of the radiance that area lamps `i` send at `cosine` (n,) to their normals."""
+        """(n,) share of the radiance that NARROW lamps `i` send at `cosine` (n,) to their normals."""
         cosine = np.maximum(cosine, np.float32(1e-6))
         tangent = np.sqrt(np.maximum(ONE - cosine * cosine, 0)) / cosine
-        share = np.maximum(self.tan_spread[i] - tangent, 0) * self.spread_norm[i]
-        return np.where(self.narrow[i], share, ONE)
+        return np.maximum(self.tan_spread[i] - tangent, 0) * self.spread_norm[i]
+
+    def window(self, i: np.ndarray | int, to: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The rectangle of NARROW lamps `i` that holds all that shines on points, whose way to the lamps' middles is `to` (3, n).
+
+        Lower corner (x, y) and size (x, y), in metres along the lamp's axes from its middle; sizes are 0 where nothing shines.
+        """
+        reach = np.maximum(dot(to, self.z[:, i].reshape(3, -1)), 0) * self.tan_spread[i]
+        out = []
+        for axis, size in ((self.x, self.size_x), (self.y, self.size_y)):
+            foot = -dot(to, axis[:, i].reshape(3, -1))
+            half = np.float32(0.5) * size[i]
+            low = np.maximum(foot - reach, -half)
+            out.append((low, np.maximum(np.minimum(foot + reach, half) - low, 0)))
+        return out[0][0], out[1][0], out[0][1], out[1][1]
 
     def sample(self, i: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, ...]:
         """One point on each lamp `i` (n,) as seen from `p` (3, n): wi (3, n), distance (n,), radiance (3, n), pdf_w (n,).
@@ -115,18 +125,27 @@ class Lamps:
             wi, _ = sampling.cone(z, width, u, v)
             return wi, np.full(len(i), FAR), color, 1 / (TWO_PI * width)
         to = self.position.take(i, axis=1) - p
-        if kind in (RECTANGLE, ELLIPSE):
-            if kind == RECTANGLE:
-                a, b = u - np.float32(0.5), v - np.float32(0.5)
+        if kind in (RECTANGLE, ELLIPSE, NARROW):
+            area = self.area[i]
+            if kind == NARROW:
+                low_x, low_y, size_x, size_y = self.window(i, to)
+                a, b, area = low_x + u * size_x, low_y + v * size_y, size_x * size_y
+                outside = (2 * a / self.size_x[i]) ** 2 + (2 * b / self.size_y[i]) ** 2 > 1
+                color *= (area > 0) & ~(self.round[i] & outside)
+            elif kind == RECTANGLE:
+                a, b = (u - np.float32(0.5)) * self.size_x[i], (v - np.float32(0.5)) * self.size_y[i]
             else:
-                a, b = (np.float32(0.5) * c for c in sampling.disk(u, v))
-            to += self.x.take(i, axis=1) * (a * self.size_x[i]) + self.y.take(i, axis=1) * (b * self.size_y[i])
+                a, b = sampling.disk(u, v)
+                a, b = a * np.float32(0.5) * self.size_x[i], b * np.float32(0.5) * self.size_y[i]
+            to += self.x.take(i, axis=1) * a + self.y.take(i, axis=1) * b
             wi, distance = _unit(to)
             cosine = dot(wi, self.z.take(i, axis=1))
             # One-sided: the lamp shines along -z, so a lit point lies where wi has a positive component along z.
-            lit = cosine > np.float32(1e-6)
-            pdf = distance * distance / np.where(lit, cosine * self.area[i], ONE)
-            color *= self.spread(i, cosine) * lit if self.any_narrow else lit
+            lit = (cosine > np.float32(1e-6)) & (area > 0)
+            pdf = distance * distance / np.where(lit, cosine * area, ONE)
+            color *= lit
+            if kind == NARROW:
+                color *= self.spread(i, cosine)
             return wi, distance, color, np.where(lit, pdf, ONE)
         if kind == SPHERE:
             wi, distance, pdf = self._sample_sphere(self.radius[i], to, u, v)
@@ -212,16 +231,24 @@ class Lamps:
         off = w * t - to
         a = dot(off, self.x[:, i : i + 1]) * (2 / self.size_x[i])
         b = dot(off, self.y[:, i : i + 1]) * (2 / self.size_y[i])
-        within = (np.abs(a) <= 1) & (np.abs(b) <= 1) if kind == RECTANGLE else a * a + b * b <= 1
+        within = a * a + b * b <= 1 if self.round[i] else (np.abs(a) <= 1) & (np.abs(b) <= 1)
         rows = np.flatnonzero(lit & within & (t < limit))
-        c = cosine[rows]
-        return rows, t[rows] ** 2 / (c * self.area[i]), self.spread(i, c) if self.any_narrow else np.ones(len(rows), np.float32)
+        c, area, factor = cosine[rows], self.area[i], np.ones(len(rows), np.float32)
+        if kind == NARROW:
+            _, _, size_x, size_y = self.window(i, to[:, rows])
+            # Rays along which the lamp is dark lie outside of the window for the most part, and are no hits.
+            area, factor = size_x * size_y, self.spread(i, c)
+            bright = np.flatnonzero((factor > 0) & (area > 0))
+            rows, c, area, factor = rows[bright], c[bright], area[bright], factor[bright]
+        return rows, t[rows] ** 2 / (c * area), factor
 
 
 def _kind(light: Light) -> int:
     if light.kind == "sun":
         return SUN_DISK if light.angle > 0 else SUN
     if light.kind == "area":
+        if light.spread < np.pi - 2e-4:
+            return NARROW
         return ELLIPSE if light.shape == "ELLIPSE" else RECTANGLE
     if light.radius <= 0:
         return POINT

@@ -93,7 +93,7 @@ def triangle(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def power_heuristic(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(n,) weight a^2 / (a^2 + b^2) of a sample drawn with density `a` > 0 that the other technique draws with density `b` (Veach 1997)."""
-    r = b / a
+    r = np.minimum(b / a, np.float32(1e18))
     return ONE / (ONE + r * r)
 
 
