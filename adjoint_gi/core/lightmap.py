@@ -135,12 +135,15 @@ def rasterize(
     overlapping = np.zeros(texels, bool)
     clash: list[np.ndarray] = []
     work = np.flatnonzero(usable & has_area)
+    # Barycentrics are a = px * ax + py * ay and b = px * bx + py * by, with (px, py) from the triangle's first corner.
+    safe = np.where(has_area, doubled, 1.0)
+    slope = np.stack([e2[:, 1] / safe, -e2[:, 0] / safe, -e1[:, 1] / safe, e1[:, 0] / safe])
     for which, row, column in _candidates(xy, work, width, height):
+        px, py = column - xy[which, 0, 0], row - xy[which, 0, 1]
+        ax, ay, bx, by = slope[:, which]
+        base_a, base_b = px * ax + py * ay, px * bx + py * by
         for k, (dx, dy) in enumerate(offsets):
-            px, py = column + dx - xy[which, 0, 0], row + dy - xy[which, 0, 1]
-            d = doubled[which]
-            a = (px * e2[which, 1] - py * e2[which, 0]) / d
-            b = (py * e1[which, 0] - px * e1[which, 1]) / d
+            a, b = base_a + (dx * ax + dy * ay), base_b + (dx * bx + dy * by)
             hit = np.flatnonzero((a >= -1e-9) & (b >= -1e-9) & (a + b <= 1 + 1e-9))
             if not len(hit):
                 continue

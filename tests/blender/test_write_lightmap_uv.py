@@ -69,6 +69,7 @@ def test_no_overlap_every_face_has_texels_and_charts_are_apart(shape):
             assert not np.any(keep & (a >= 0) & (lm.chart >= 0) & (a != lm.chart))
 
 
+@pytest.mark.slow
 def test_a_game_level_is_unwrapped_and_rasterized_in_seconds():
     """58,737 triangles with tiled UVs: about 4 s alone on two cores for the layer, 0.3 s for the texels."""
     path = Path(__file__).resolve().parents[3] / "shared" / "scenes" / "zdm2.blend"
