@@ -5,6 +5,9 @@ from __future__ import annotations
 from importlib import import_module
 
 MODULES: tuple[str, ...] = (
+    "local_illumination",
+    "whitted",
+    "distribution",
     "path_tracing",
     "particle_tracing",
     "matrix_radiosity",

@@ -94,7 +94,7 @@ class LocalIllumination(Solver):
         def estimate(surface: Surface, wo: np.ndarray | None, _: np.random.Generator) -> Gathered:
             return shade(world, points, table, surface, wo, settings)
 
-        yield from run.sites(estimate)
+        yield from run.sites(estimate, points.batch)
 
 
 def shade(world: World, points: LightPoints, table: BsdfTable, surface: Surface, wo: np.ndarray | None, s: LocalSettings) -> Gathered:

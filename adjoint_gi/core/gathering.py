@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -118,8 +118,11 @@ class Run:
                     yield from self.clock.pause(Step(done / total, text, self.solution))
         yield from self.finish(f"{samples} samples")
 
-    def sites(self, estimate: Estimate) -> Iterator[Step]:
-        """Every receiver's fixed points once: for methods without random numbers. `estimate` gets a generator of fixed seed."""
+    def sites(self, estimate: Estimate, batch: int = BATCH) -> Iterator[Step]:
+        """Every receiver's fixed points once, `batch` at a time: for methods without random numbers.
+
+        `estimate` gets a generator of fixed seed.
+        """
 
         def work(item: tuple[int, Points]) -> tuple[int, int, np.ndarray, tuple]:
             index, points = item
@@ -129,7 +132,7 @@ class Run:
             return first, last, many, self._evaluate(points, first, last, estimate, generator)
 
         yield from self._read_surfaces(before=True)
-        with closing(in_order(work, enumerate(self.receivers.sites()))) as results:
+        with closing(in_order(work, enumerate(_slices(self.receivers.sites(), batch)))) as results:
             for first, last, many, sums in results:
                 self._add(first, last, many, sums)
                 if self.clock.due():
@@ -213,6 +216,15 @@ class Run:
             partial=self.partial,
             extra=extra,
         )
+
+
+def _slices(chunks: Iterator[Points], batch: int) -> Iterator[Points]:
+    """The points of `chunks` in groups of at most `batch`."""
+    for points in chunks:
+        for a in range(0, len(points.receiver), batch):
+            some = {f.name: getattr(points, f.name) for f in fields(points)}
+            some = {name: x[a : a + batch] if isinstance(x, np.ndarray) else x for name, x in some.items()}
+            yield Points(**(some | {"rays": points.rays if a == 0 else 0}))
 
 
 def _batches(count: int, samples: int, batch: int) -> Iterator[tuple[int, int, int, int]]:

@@ -36,6 +36,11 @@ class LightPoints:
             for a, b in zip(u[:many], v[:many], strict=True):
                 self._draws.append((triangles + int(lamp), float(many), float(a), float(b)))
 
+    @property
+    def batch(self) -> int:
+        """At how many points to work at once, so that a batch takes about a tenth of a second."""
+        return max(256, min(1 << 14, (1 << 17) // max(1, len(self._draws))))
+
     def at(self, world: World, surface: Surface, shadows: bool) -> Iterator[tuple]:
         """For each element: wi (n, 3), cosine (n,), radiance (n, 3), weight (n,) = solid angle (0 where hidden), shadow rays cast."""
         origin = world.leave(surface)

@@ -77,13 +77,10 @@ def gather(walk: Walk, surface: Surface, lobes: bsdf.Lobes, rng: np.random.Gener
             rays += cast
         # Step 2: a ray by the BSDF.
         scattered = bsdf.sample(lobes, rng)
-        towards = np.einsum("ij,ij->i", scattered.wi, surface.ng)
-        go = np.flatnonzero((scattered.weight.max(axis=1) > 0) & ((towards < 0) == scattered.through))
+        go = leaving(surface, scattered)
         if not len(go):
             break
-        side = np.where(scattered.through[go], np.float32(-1), np.float32(1))[:, None]
-        origin = np.ascontiguousarray(surface.position[go] + side * np.float32(walk.world.offset) * surface.ng[go])
-        wi = np.ascontiguousarray(scattered.wi[go])
+        origin, wi = departure(walk, surface, scattered, go)
         share = light_share(lobes)[go]
         weight, row = weight[go] * scattered.weight[go], row[go]
         pdf, delta = scattered.pdf_w[go], scattered.delta[go]
@@ -111,6 +108,19 @@ def gather(walk: Walk, surface: Surface, lobes: bsdf.Lobes, rng: np.random.Gener
             at = np.flatnonzero(keep)
             weight, row, surface, lobes = weight[at], row[at], take(surface, at), lobes.take(at)
     return Gathered(direct, indirect, rays)
+
+
+def leaving(surface: Surface, scattered: bsdf.Scattered) -> np.ndarray:
+    """Rows (m,) of the directions that carry something and leave on the side of the surface that they were meant for."""
+    towards = np.einsum("ij,ij->i", scattered.wi, surface.ng)
+    return np.flatnonzero((scattered.weight.max(axis=1) > 0) & ((towards < 0) == scattered.through))
+
+
+def departure(walk: Walk, surface: Surface, scattered: bsdf.Scattered, go: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Origins off the surface and directions, (m, 3) float32 each, of the rays in rows `go` (m,)."""
+    side = np.where(scattered.through[go], np.float32(-1), np.float32(1))[:, None]
+    origin = surface.position[go] + side * np.float32(walk.world.offset) * surface.ng[go]
+    return np.ascontiguousarray(origin), np.ascontiguousarray(scattered.wi[go])
 
 
 def next_event(

@@ -1,0 +1,214 @@
+"""Distribution ray tracing (Cook, Porter and Carpenter 1984; Cook 1986; review, section 6.1).
+
+Gathering, nondeterministic. Recursive ray tracing whose rays are distributed. The integral of Eq. 5 is estimated in two stages,
+
+    Lo = Le + 1/n sum fr Le cos theta / p_light  +  1/m sum fr Lr cos theta / p_brdf                                  (5)
+
+(i) n rays towards points of the lights, drawn by what the lights emit: soft shadows; (ii) m rays drawn by the BRDF, whose radiance
+is found in the same way: gloss, translucency and interreflection. Rays also start from points of the camera's lens: depth of field.
+The numbers behind all of them are jittered or from a low-discrepancy sequence, for every pixel and every use together.
+
+With `joined`, BRDF rays count emission that they meet too, and the two stages weigh each other (Veach and Guibas 1995).
+
+R. L. Cook, T. Porter, L. Carpenter, "Distributed Ray Tracing", SIGGRAPH 1984, 137-145.
+R. L. Cook, "Stochastic Sampling in Computer Graphics", ACM TOG 5(1), 1986, 51-72.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..adjoint_gi.core import bsdf, radiance
+from ..adjoint_gi.core import settings as base
+from ..adjoint_gi.core.emitters import Emitters
+from ..adjoint_gi.core.gathering import BATCH, Estimate, Run
+from ..adjoint_gi.core.parallel import thread_count
+from ..adjoint_gi.core.radiance import Gathered, Walk
+from ..adjoint_gi.core.receivers import Points, Receivers
+from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.samplers import KINDS, Sampler
+from ..adjoint_gi.core.settings import setting
+from ..adjoint_gi.core.solution import Step
+from ..adjoint_gi.core.world import Surface, World
+
+PLACE, LENS, FIRST = 0, 1, 2  # streams of the sampler; from FIRST on two for every surface on the way
+NEVER = 1 << 30
+
+
+@dataclass(frozen=True)
+class DistributionSettings(base.Settings):
+    """Settings of distribution ray tracing."""
+
+    samples: int = setting(
+        16,
+        label="Samples",
+        help="Primary rays of each pixel, or points of each texel; squares and powers of two are best",
+        min=1,
+        max=1 << 20,
+        soft_max=1024,
+    )
+    light_samples: int = setting(
+        4, label="Light Samples", help="Rays towards the lights from each surface that splits", min=1, max=4096, soft_max=64
+    )
+    brdf_samples: int = setting(4, label="BRDF Samples", help="Reflected rays from each surface that splits", min=1, max=4096, soft_max=64)
+    split_depth: int = setting(
+        1,
+        label="Split Depth",
+        help="Surfaces from the receiver on that send as many rays as set; each multiplies the number of rays. Later ones send one of each",
+        min=0,
+        max=4,
+    )
+    sampling: str = setting("jittered", label="Sampling", help="Where the random numbers come from", choices=KINDS)
+    joined: bool = setting(
+        True,
+        label="Join Light and BRDF Rays",
+        help="BRDF rays count lights they meet, weighted against the light rays: less noise in gloss. Off: the two stages of the paper",
+    )
+    roulette: bool = setting(
+        True, label="Russian Roulette", help="End weak rays at random beyond the surfaces that split; the result stays unbiased"
+    )
+    depth_of_field: bool = setting(True, label="Depth of Field", help="Start rays from the lens of the camera where it has one")
+
+
+@register
+class Distribution(Solver):
+    """Splits rays at the first surfaces and follows single ones from there."""
+
+    spec = MethodSpec(
+        id="distribution",
+        number=6,
+        label="Distribution Ray Tracing",
+        strategies=(Strategy.GATHERING,),
+        natures=(Nature.NONDETERMINISTIC,),
+        year=1984,
+        authors="R. L. Cook, T. Porter, L. Carpenter",
+        title="Distributed Ray Tracing",
+        equation="Lo = Le + 1/n sum fr Le cos theta / p_light + 1/m sum fr Lr cos theta / p_brdf  (5)",
+        section="6.1",
+        idea="Recursive ray tracing with bundles of rays: over the lights, over the BRDF and over the lens.",
+        limits=(
+            "The number of rays grows with the power of the split depth",
+            "Noise falls only with the square root of the time where the numbers are independent",
+            "Caustics of small lights are noisy: only BRDF rays find them",
+            "Depth of field has a round aperture; motion blur is not computed",
+        ),
+        lobes=bsdf.ALL_LOBES | {"emission"},
+    )
+    Settings = DistributionSettings
+
+    def memory(self, world: World, receivers: Receivers, settings: DistributionSettings) -> int:
+        """Sums in float64, one copy of the result, and the rays of every thread."""
+        slots = bsdf.BsdfTable(world.scene).count
+        ray = 300 + 60 * slots
+        return receivers.count * 500 + thread_count() * BATCH * ray * (2 + settings.split_depth)
+
+    def solve(self, world: World, receivers: Receivers, settings: DistributionSettings, rng: np.random.Generator) -> Iterator[Step]:
+        """Yield after every few batches of samples."""
+        emitters = Emitters(world)
+        run = Run(self.spec, world, receivers, settings, emitters)
+        tracer = Tracer(world, emitters, receivers, settings, int(rng.integers(0, 1 << 32)))
+        yield from run.steps(None, settings.samples, rng, tracer.place, tracer.batch)
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Which sample each row belongs to: receiver (n,) and number (n,) in its set of `total` at this depth."""
+
+    receiver: np.ndarray
+    number: np.ndarray
+    total: int
+
+    def split(self, many: int, j: int) -> Rows:
+        """The j-th of `many` rays of every row."""
+        return Rows(self.receiver, self.number * many + j, self.total * many)
+
+    def take(self, which: np.ndarray) -> Rows:
+        """Some of the rows."""
+        return Rows(self.receiver[which], self.number[which], self.total)
+
+
+class Tracer:
+    """The two stages, in a world."""
+
+    def __init__(self, world: World, emitters: Emitters, receivers: Receivers, settings: DistributionSettings, seed: int) -> None:
+        self.receivers, self.settings = receivers, settings
+        self.sampler = Sampler(settings.sampling, seed)
+        self.table = bsdf.BsdfTable(world.scene)
+        roulette = 1 + settings.split_depth if settings.roulette else NEVER
+        lengths = (settings.min_length, settings.max_length)
+        self.walk = Walk(world, emitters, self.table, *lengths, max(2, roulette), lobes=settings.joined)
+        # Rays that each sample may cost, about six on each path after the surfaces that split: batches take about the same time.
+        s = settings
+        rays = 6 * s.brdf_samples**s.split_depth
+        rays += sum(s.brdf_samples**d * (s.light_samples + s.brdf_samples) for d in range(s.split_depth))
+        self.batch = max(256, min(BATCH, (1 << 17) // rays))
+
+    def place(self, owner: np.ndarray, number: np.ndarray, rng: np.random.Generator) -> tuple[Points, Estimate]:
+        """Points of samples `number` (n,) of receivers `owner` (n,), and the estimate at these."""
+        s, rows = self.settings, Rows(owner, number, self.settings.samples)
+        options = {}
+        if self.receivers.takes_uniform:
+            options["uniform"] = self._draw(PLACE, rows, 2, rng)
+        if self.receivers.kind == "camera" and s.depth_of_field and self.receivers.camera.aperture_radius > 0:
+            options["lens"] = self._draw(LENS, rows, 2, rng)
+        points = self.receivers.sample(owner, rng, **options)
+        on = rows.take(np.flatnonzero(points.triangle >= 0))
+
+        def estimate(surface: Surface, wo: np.ndarray | None, rng: np.random.Generator) -> Gathered:
+            if s.max_length < 1:
+                nothing = np.zeros((len(surface.triangle), 3), np.float32)
+                return Gathered(nothing, nothing, 0)
+            lobes = radiance.white(self.walk, surface) if wo is None else radiance.lobes_of(self.walk, surface, wo)
+            found = self.trace(surface, lobes, on, 1, rng)
+            scale = np.float32(np.pi if wo is None else 1)
+            return Gathered(found.direct * scale, found.indirect * scale, found.rays)
+
+        return points, estimate
+
+    def trace(self, surface: Surface, lobes: bsdf.Lobes, rows: Rows, length: int, rng: np.random.Generator) -> Gathered:
+        """Radiance towards the `wo` of `lobes`; `length` is the path length of light that reaches the points directly."""
+        s, walk = self.settings, self.walk
+        if length > s.split_depth:
+            return radiance.gather(walk, surface, lobes, rng, length)
+        n = len(surface.triangle)
+        direct, indirect = np.zeros((n, 3), np.float32), np.zeros((n, 3), np.float32)
+        out = direct if length == 1 else indirect
+        rays = 0
+        stream = FIRST + 2 * (length - 1)
+        counts = length >= s.min_length
+        # (i) The source term: rays distributed over the emission of the lights.
+        if counts and walk.emitters.any_drawn():
+            for j in range(s.light_samples):
+                u = self._draw(stream, rows.split(s.light_samples, j), 3, rng)
+                at, value, cast = radiance.next_event(walk, surface, lobes, rng, u)
+                out[at] += value / np.float32(s.light_samples)
+                rays += cast
+        # (ii) The interreflection term: rays distributed by the BRDF.
+        share = radiance.light_share(lobes)
+        for j in range(s.brdf_samples):
+            mine = rows.split(s.brdf_samples, j)
+            scattered = bsdf.sample(lobes, rng, self._draw(stream + 1, mine, 4, rng))
+            go = radiance.leaving(surface, scattered)
+            if not len(go):
+                continue
+            origin, wi = radiance.departure(walk, surface, scattered, go)
+            hit = walk.world.intersect(origin, wi)
+            rays += len(go)
+            weight = scattered.weight[go] / np.float32(s.brdf_samples)
+            delta = scattered.delta[go]
+            if counts and (walk.lobes or delta.any() or walk.emitters.any_background):
+                out[go] += weight * radiance.met(walk, origin, wi, hit, scattered.pdf_w[go], delta, share[go])
+            on = np.flatnonzero(hit[0] >= 0)
+            if length >= s.max_length or not len(on):
+                continue
+            there = walk.world.surface(hit[0][on], hit[1][on], hit[2][on], -wi[on])
+            found = self.trace(there, radiance.lobes_of(walk, there, -wi[on]), mine.take(go[on]), length + 1, rng)
+            indirect[go[on]] += weight[on] * found.indirect
+            rays += found.rays
+        return Gathered(direct, indirect, rays)
+
+    def _draw(self, stream: int, rows: Rows, dimensions: int, rng: np.random.Generator) -> np.ndarray:
+        return self.sampler.draw(stream, rows.total, rows.receiver, rows.number, dimensions, rng)

@@ -1,0 +1,316 @@
+"""Recursive ray tracing (Whitted 1980; review, section 5.1, Eq. 9).
+
+Gathering, deterministic. The light elements of Eq. 6, seen through shadow rays, and one ray along the mirror direction, whose
+radiance is found by the same equation:
+
+    Lo(x) = Le(x) + rho_a L_a + rho_s(x) Lo(y) + sum_j fr(x) Le(j) cos theta(j) dw(j)                                 (9)
+
+Glass sends a second ray through the surface; Fresnel's equations share the light between the two. Both are traced, so the tree of
+rays is the same every time. It is cut off at a depth and where a branch carries little.
+
+T. Whitted, "An Improved Illumination Model for Shaded Display", CACM 23(6), 1980, 343-349.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..adjoint_gi.core import bsdf, mirrors
+from ..adjoint_gi.core import settings as base
+from ..adjoint_gi.core.emitters import Emitters
+from ..adjoint_gi.core.errors import Notice, SceneError
+from ..adjoint_gi.core.gathering import Run
+from ..adjoint_gi.core.light_points import LightPoints, phong_lobe
+from ..adjoint_gi.core.parallel import thread_count
+from ..adjoint_gi.core.radiance import Gathered, take
+from ..adjoint_gi.core.receivers import Receivers
+from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.settings import setting
+from ..adjoint_gi.core.solution import Step
+from ..adjoint_gi.core.world import Surface, World
+
+FRONT = 1 << 14  # rays that are followed at once
+INF = np.float32(np.inf)
+
+ROUGH = (
+    ("highlights", "Highlights", "Rough surfaces reflect only the lights, by the BRDF in Eq. 9; rough glass is taken as clear"),
+    ("phong", "Phong Highlights", "The same with the lobe cos^n of Eq. 8; n = (2 / r^4 - 2) / 4 for roughness r"),
+    ("mirrors", "Mirrors", "Rough lobes are taken as perfectly smooth: sharp reflections"),
+    ("refuse", "Refuse", "Stop with the name of the material"),
+)
+
+
+@dataclass(frozen=True)
+class WhittedSettings(base.Settings):
+    """Settings of recursive ray tracing."""
+
+    depth: int = setting(
+        8, label="Depth", help="Mirrors and glass surfaces that a ray may meet one after another", min=0, max=256, soft_max=32
+    )
+    contribution: float = setting(
+        0.002,
+        label="Contribution Limit",
+        help="Rays whose light would reach the receiver weaker than this share are not followed; 0 follows all down to the depth",
+        min=0.0,
+        max=1.0,
+    )
+    ambient: float = setting(
+        0.0,
+        label="Ambient Radiance",
+        help="Uniform radiance that stands for all diffuse indirect light, W/m2/sr",
+        min=0.0,
+        max=1e9,
+        soft_max=10.0,
+    )
+    light_points: int = setting(
+        16,
+        label="Light Points",
+        help="Differential elements that stand for each lamp with a size and for all emissive surfaces",
+        min=1,
+        max=4096,
+    )
+    rough: str = setting("highlights", label="Rough Lobes", help="What happens to lobes that are not perfectly smooth", choices=ROUGH)
+
+
+@register
+class Whitted(Solver):
+    """Follows the tree of mirror and refracted rays of every receiver point, level by level."""
+
+    spec = MethodSpec(
+        id="whitted",
+        number=2,
+        label="Recursive Ray Tracing",
+        strategies=(Strategy.GATHERING,),
+        natures=(Nature.DETERMINISTIC,),
+        year=1980,
+        authors="T. Whitted",
+        title="An Improved Illumination Model for Shaded Display",
+        equation="Lo(x) = Le + rho_a L_a + rho_s Lo(y) + sum_j fr Le(j) cos theta(j) dw(j)  (9)",
+        section="5.1",
+        idea="Besides the lights, a surface gathers from one more direction: the mirror's, and beyond glass the refracted one.",
+        limits=(
+            "No diffuse interreflection: it is one constant, the ambient radiance",
+            "No caustics: light that reaches a diffuse surface over mirrors or through glass is not found; glass casts full shadows",
+            "Rough lobes reflect lights only, or are taken as mirrors, or refused, by setting",
+            "Soft shadows are as many hard ones as there are light points",
+            "Light of the world is seen in mirrors and through glass, and arrives on other surfaces only through the ambient radiance",
+        ),
+        lobes=bsdf.ALL_LOBES | {"emission"},
+    )
+    Settings = WhittedSettings
+
+    def memory(self, world: World, receivers: Receivers, settings: WhittedSettings) -> int:
+        """Sums and one copy of the result; the fronts of rays that wait at every depth in every thread."""
+        table = bsdf.BsdfTable(world.scene)
+        waiting = FRONT * (1 + 2 * table.count * settings.depth)
+        return receivers.count * 400 + thread_count() * waiting * 64
+
+    def solve(self, world: World, receivers: Receivers, settings: WhittedSettings, rng: np.random.Generator) -> Iterator[Step]:
+        """Yield after every few batches of receivers. Raises SceneError for rough lobes where they are refused."""
+        emitters = Emitters(world)
+        tracer = Tracer(world, emitters, settings)
+        yield from Run(self.spec, world, receivers, settings, emitters, rough_notices(world, settings.rough)).sites(
+            tracer.estimate, tracer.points.batch
+        )
+
+
+def rough_notices(world: World, rough: str) -> tuple[Notice, ...]:
+    """One notice for each material in use with a lobe that is not solved as it is; raises SceneError where `rough` is "refuse"."""
+    out = []
+    used = dict.fromkeys(world.scene.materials[index] for index in np.unique(world.scene.material))
+    for material in used:
+        kinds = {x.kind for x in material.lobes if x.kind in bsdf.KINDS and not x.color.is_black and x.roughness**2 >= bsdf.DELTA_ALPHA}
+        kinds = sorted(kinds - {"transparent"})
+        if not kinds:
+            continue
+        name, what = f"Material {material.name}", ", ".join(kinds)
+        if rough == "refuse":
+            raise SceneError(
+                name, f"its {what} lobe is rough, which recursive ray tracing does not solve", "Set roughness to 0 or allow it"
+            )
+        how = "as perfectly smooth" if rough == "mirrors" else "to reflect lights only, and light to pass straight"
+        out.append(Notice(name, f"rough {what} taken {how} by this method", "Choose a method that handles it, or accept the substitute"))
+    return tuple(out)
+
+
+@dataclass(frozen=True, eq=False)
+class Front:
+    """Rays under way: the receiver point (m,) that each is for, origin, wi and weight (m, 3)."""
+
+    row: np.ndarray
+    origin: np.ndarray
+    wi: np.ndarray
+    weight: np.ndarray
+
+    def take(self, which: np.ndarray | slice) -> Front:
+        """Some of the rays."""
+        return Front(self.row[which], self.origin[which], self.wi[which], self.weight[which])
+
+
+class Tracer:
+    """Eq. 9 in a world."""
+
+    def __init__(self, world: World, emitters: Emitters, settings: WhittedSettings) -> None:
+        self.world, self.emitters, self.settings = world, emitters, settings
+        self.points = LightPoints(emitters, settings.light_points)
+        self.table = bsdf.BsdfTable(world.scene)
+
+    def estimate(self, surface: Surface, wo: np.ndarray | None, _: np.random.Generator) -> Gathered:
+        """Radiance towards `wo` (n, 3), or irradiance where it is None."""
+        s, n = self.settings, len(surface.triangle)
+        direct, indirect = np.zeros((n, 3), np.float32), np.zeros((n, 3), np.float32)
+        if wo is None:
+            rays = 0
+            if s.min_length <= 1 <= s.max_length:
+                direct, rays = irradiance(self.world, self.points, surface)
+            if s.max_length >= 2:
+                indirect += np.float32(np.pi * s.ambient)
+            return Gathered(direct, indirect, rays)
+
+        # Step 1: the visible points themselves. Rows are all different here, so plain addition does.
+        front = Front(np.arange(n), np.zeros((n, 0), np.float32), -wo, np.ones((n, 3), np.float32))
+        lit, ambient, nexts, rays = self._shade(surface, front, 1)
+        direct += lit
+        indirect += ambient
+        # Step 2: the tree of rays, the deepest front first, so that few wait.
+        waiting = [(1, f) for f in nexts]
+        while waiting:
+            depth, front = waiting.pop()
+            if len(front.row) > FRONT:
+                waiting += [(depth, front.take(slice(a, a + FRONT))) for a in range(0, len(front.row), FRONT)]
+                continue
+            found, reflected, nexts, cast = self._follow(front, depth)
+            rays += cast
+            # What the ray meets has path length `depth`; what the surface there reflects has one more.
+            _add(direct if depth == 1 else indirect, front.row, found)
+            _add(indirect, front.row, reflected)
+            waiting += [(depth + 1, f) for f in nexts]
+        return Gathered(direct, indirect, rays)
+
+    def _follow(self, front: Front, depth: int) -> tuple[np.ndarray, np.ndarray, list[Front], int]:
+        """One step of rays that make paths of length `depth`: emission met and light reflected, (m, 3) each, new rays, rays cast."""
+        s = self.settings
+        triangle, u, v, t = self.world.intersect(front.origin, front.wi)
+        hit = np.flatnonzero(triangle >= 0)
+        surface = self.world.surface(triangle[hit], u[hit], v[hit], -front.wi[hit])
+        found, reflected = np.zeros_like(front.weight), np.zeros_like(front.weight)
+        if s.min_length <= depth <= s.max_length:
+            # Emission seen in mirrors and through glass: the light points stand only for the other lobes.
+            found[triangle < 0] = self.emitters.background
+            found[hit] = self.world.emission(surface)
+            found += self.emitters.along(front.origin, front.wi, np.where(triangle < 0, INF, t))
+            found *= front.weight
+        if not len(hit) or depth >= s.max_length:
+            return found, reflected, [], len(triangle)
+        lit, ambient, nexts, rays = self._shade(surface, front.take(hit), depth + 1)
+        reflected[hit] = lit + ambient
+        return found, reflected, nexts, len(triangle) + rays
+
+    def _shade(self, surface: Surface, front: Front, length: int) -> tuple[np.ndarray, np.ndarray, list[Front], int]:
+        """Eq. 9 where rays hit: light of the light elements and ambient light, both (m, 3) and weighted, the next rays, rays cast.
+
+        `length` is the path length of light that reaches the surface directly.
+        """
+        s = self.settings
+        lobes = self.table.at(surface.triangle, surface.u, surface.v, surface.ns, surface.side, -front.wi)
+        mirror = self._mirrors(lobes)
+        rest = mirrors.without(lobes, mirror)
+        lit, ambient = np.zeros_like(front.weight), np.zeros_like(front.weight)
+        rays = 0
+        if s.min_length <= length <= s.max_length:
+            # Purely diffuse points, most of all, are done together and at less cost.
+            shiny = np.zeros(len(lit), bool)
+            for slot in rest.slots:
+                shiny |= slot.kind > 0
+            if self.table.coat.any():
+                shiny |= self.table.coat_at(rest.material, rest.local[:, 2]) > 0
+            for which, sum_up in ((~shiny & (rest.diffuse.max(axis=1) > 0), self._diffuse), (shiny, self._shiny)):
+                able = np.flatnonzero(which)
+                if len(able):
+                    lit[able], cast = sum_up(take(surface, able), rest.take(able))
+                    rays += cast
+            lit *= front.weight
+        if s.ambient > 0 and length < s.max_length:
+            ambient = np.float32(s.ambient) * front.weight * _ambient_reflectance(rest)
+        # The rays that go on.
+        nexts = []
+        if length <= s.depth and length <= s.max_length:
+            for branch in mirrors.branches(lobes, mirror):
+                nexts.append(self._leave(surface, front, branch))
+        nexts = [f for f in nexts if len(f.row)]
+        # Small fronts cost as much as large ones: all branches go on together.
+        return lit, ambient, [_join(nexts)] if nexts else [], rays
+
+    def _mirrors(self, lobes: bsdf.Lobes) -> tuple[np.ndarray, ...]:
+        """For each slot where it is followed by rays, (n,) bool."""
+        if self.settings.rough == "mirrors":
+            return tuple(x.kind > 0 for x in lobes.slots)
+        clear = (bsdf.GLASS, bsdf.REFRACTION)
+        return tuple((x.kind > 0) & (x.delta | np.isin(x.kind, clear)) for x in lobes.slots)
+
+    def _diffuse(self, surface: Surface, lobes: bsdf.Lobes) -> tuple[np.ndarray, int]:
+        """The sum over the light elements at diffuse points, (n, 3), and the shadow rays cast."""
+        total, rays = irradiance(self.world, self.points, surface)
+        return total * lobes.diffuse / np.float32(np.pi), rays
+
+    def _shiny(self, surface: Surface, lobes: bsdf.Lobes) -> tuple[np.ndarray, int]:
+        """The same for any lobes."""
+        out = np.zeros((len(surface.triangle), 3), np.float32)
+        rays = 0
+        phong = self.settings.rough == "phong"
+        base_lobes = mirrors.without(lobes, tuple(np.ones(len(out), bool) for _ in lobes.slots)) if phong else lobes
+        p = bsdf.weights(base_lobes)
+        for wi, cosine, radiance, weight, cast in self.points.at(self.world, surface, True):
+            rays += cast
+            lit = np.flatnonzero(weight > 0)
+            if len(lit):
+                value, _ = bsdf.evaluate(base_lobes.take(lit), wi[lit], p[:, lit])
+                if phong:
+                    value += phong_lobe(lobes.take(lit), wi[lit]) * cosine[lit, None]
+                out[lit] += value * radiance[lit] * weight[lit, None]
+        return out, rays
+
+    def _leave(self, surface: Surface, front: Front, branch: mirrors.Branch) -> Front:
+        """The rays of a branch that carry enough and leave on the right side of the surface."""
+        rows = branch.rows
+        weight = front.weight[rows] * branch.weight
+        side = np.float32(-1 if branch.through else 1)
+        above = np.einsum("ij,ij->i", branch.wi, surface.ng[rows]) * side > 0
+        strength = weight.max(axis=1)
+        keep = np.flatnonzero(above & (strength > 0) & (strength >= self.settings.contribution))
+        rows = rows[keep]
+        origin = surface.position[rows] + side * np.float32(self.world.offset) * surface.ng[rows]
+        return Front(front.row[rows], np.ascontiguousarray(origin), np.ascontiguousarray(branch.wi[keep]), weight[keep])
+
+
+def irradiance(world: World, points: LightPoints, surface: Surface) -> tuple[np.ndarray, int]:
+    """(n, 3) irradiance from the light elements, and the shadow rays cast."""
+    out = np.zeros((len(surface.triangle), 3), np.float32)
+    rays = 0
+    for _, cosine, radiance, weight, cast in points.at(world, surface, True):
+        out += radiance * (cosine * weight)[:, None]
+        rays += cast
+    return out, rays
+
+
+def _ambient_reflectance(lobes: bsdf.Lobes) -> np.ndarray:
+    """(n, 3) average reflectance rho_a of the lobes that are not followed by rays."""
+    coat = lobes.table.coat_at(lobes.material, lobes.local[:, 2])
+    out = lobes.diffuse * (1 - coat)[:, None]
+    for slot in lobes.slots:
+        share = np.where(slot.kind == bsdf.SPECULAR, coat, np.float32(1)) * (slot.kind > 0)
+        out = out + slot.color * share[:, None]
+    return out
+
+
+def _join(fronts: list[Front]) -> Front:
+    return fronts[0] if len(fronts) == 1 else Front(*(np.concatenate([getattr(f, n) for f in fronts]) for n in Front.__dataclass_fields__))
+
+
+def _add(out: np.ndarray, rows: np.ndarray, value: np.ndarray) -> None:
+    """Add `value` (m, 3) to `rows` (m,) of `out`; rows may come more than once."""
+    for c in range(3):
+        out[:, c] += np.bincount(rows, value[:, c], len(out)).astype(np.float32)
