@@ -90,12 +90,12 @@ class Nodes:
         flat = nodes.ravel()
         total = np.maximum(np.bincount(flat, weight.ravel(), self.count), 1e-300)
         out = np.empty((self.count, 2, values.shape[1]), np.float32)
-        by_side = values.reshape(e.count, 2, -1)
+        by_side = values.reshape(e.count, 2, values.shape[1])
         for side in (0, 1):
             for c in range(values.shape[1]):
                 product = weight * by_side[:, side, c, None]
                 out[:, side, c] = np.bincount(flat, product.ravel(), self.count) / total
-        return out.reshape(2 * self.count, -1)
+        return out.reshape(2 * self.count, values.shape[1])
 
     def at(self, node_values: np.ndarray, side: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """(n, c) float32 values at local coordinates a, b of element sides, from `values`."""
