@@ -35,9 +35,10 @@ from ..adjoint_gi.core.transports import FreshRayTransport
 from ..adjoint_gi.core.world import World
 
 TARGET = 8000  # elements where max_edge is chosen
-BATCH = 1 << 16  # rays of the sides that shoot together
-FEWEST, MOST = 32, 1 << 15  # rays of one shot
-AT_ONCE = 1 << 12  # sides that shoot together at most
+BATCH = 1 << 16  # rays of the sides that shoot together, at least; more where there are more sides, as each group costs a look at all
+LARGEST_BATCH = 1 << 18
+FEWEST, MOST = 8, 1 << 17  # rays of one shot
+AT_ONCE = 1 << 14  # sides that shoot together at most
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class ProgressiveSettings(RadiositySettings):
     rays: int = setting(
         2_000_000,
         label="Rays",
-        help="Rays that carry all emitted flux; a shot takes its share of them by its flux, and never fewer than 32",
+        help="Rays that carry all emitted flux; a shot takes its share of them by its flux, and never fewer than 8",
         min=1,
         max=2_000_000_000,
         soft_max=100_000_000,
@@ -100,7 +101,7 @@ class ProgressiveRadiosity(Solver):
         own = getattr(receivers, "elements", None)
         count = own.count if own is not None else Elements.planned(world, settings.max_edge, TARGET)
         classes = max(1, settings.max_length) if settings.max_length < NO_LIMIT else max(2, settings.min_length)
-        return count * (700 + 2 * 3 * 8 * (6 * classes + 8)) + 600 * BATCH + 100 * receivers.count
+        return count * (700 + 2 * 3 * 8 * (6 * classes + 8)) + 600 * LARGEST_BATCH + 100 * receivers.count
 
     def solve(self, world: World, receivers: Receivers, settings: ProgressiveSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every group of shots; the fraction is the flux delivered."""
@@ -175,7 +176,8 @@ def group(state: Southwell, settings: ProgressiveSettings) -> tuple[np.ndarray, 
     many = min(AT_ONCE, settings.max_shots - state.shots)
     index, flux = state.largest(many)
     rays = np.clip(np.ceil(settings.rays * flux / max(state.total, 1e-300)), FEWEST, MOST).astype(np.int64)
-    fits = np.maximum(1, np.searchsorted(np.cumsum(rays), BATCH, side="right"))
+    batch = int(np.clip(len(state.direct) // 2, BATCH, LARGEST_BATCH))
+    fits = max(1, int(np.searchsorted(np.cumsum(rays), batch, side="right")))
     return index[:fits], rays[:fits]
 
 

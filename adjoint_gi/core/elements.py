@@ -275,11 +275,13 @@ class ElementReceivers(Receivers):
         return self._points(receiver, r[0], r[1])
 
     def sites(self) -> Iterator[Points]:
-        """Four points a side."""
+        """Four points a side, none of them on the edge of a sub-triangle."""
+        quad_a, quad_b = np.array([0.25, 0.75, 0.25, 0.75]), np.array([0.25, 0.25, 0.75, 0.75])
+        triangle_a, triangle_b = np.array([1 / 6, 2 / 3, 1 / 6, 1 / 3]), np.array([1 / 6, 1 / 6, 2 / 3, 1 / 3])
         for first in range(0, self.count, CHUNK // 4):
             receiver = np.repeat(np.arange(first, min(first + CHUNK // 4, self.count)), 4)
-            many = len(receiver) // 4
-            yield self._points(receiver, np.tile([0.25, 0.75, 0.25, 0.75], many), np.tile([0.25, 0.25, 0.75, 0.75], many))
+            quad = self.elements.is_quad[receiver[::4] >> 1, None]
+            yield self._points(receiver, np.where(quad, quad_a, triangle_a).ravel(), np.where(quad, quad_b, triangle_b).ravel())
 
 
 def _lonely(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -188,7 +188,7 @@ class Southwell:
         """Send the unshot light of sides `index` (m,), all at once, with `rays` (m,) rays each."""
         out = self.unshot[:, index]
         if self.overshoot:
-            out[-1] += self.transport.rho[index] * self.ambient()
+            out[-1] += self._expected(index)
         self.unshot[:, index] -= out
         classes = len(out)
         flat = out.transpose(1, 0, 2).reshape(len(index), 3 * classes)
@@ -203,9 +203,17 @@ class Southwell:
         self._arrive(full.reshape(-1, classes, 3).transpose(1, 0, 2), 0)
         self.shots += len(index)
 
+    def _expected(self, index: np.ndarray) -> np.ndarray:
+        """(m, 3) radiosity that sides `index` (m,) are expected to have from light that is still under way (Feda 1992)."""
+        return self.transport.rho[index] * self.reached[index, None] * self.ambient()
+
     def largest(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Up to `count` sides with the most unshot flux, most first, and their flux in W; sides with none are left out."""
+        """Up to `count` sides with the most flux to send, most first, and their flux in W; sides with none are left out."""
         flux = self.unshot_flux()
+        if self.overshoot:
+            # What a side has sent too early must not bring it to the front again.
+            out = self.unshot.sum(axis=0) + self._expected(np.arange(len(flux)))
+            flux = self.transport.area * np.abs(out).sum(axis=1)
         index = np.argpartition(-flux, count)[:count] if count < len(flux) else np.arange(len(flux))
         # Ties go to the lower index, so that the order is always the same.
         index = index[np.lexsort((index, -flux[index]))]

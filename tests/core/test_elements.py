@@ -1,0 +1,274 @@
+"""Elements: cutting, locating, colours, smooth values, and answers at receivers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core.answer import ElementAnswer, element_solution
+from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements, parallelograms
+from adjgi.adjoint_gi.core.errors import MemoryRefused
+from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.scene import Camera, Color, Light, Lobe, Material, Source, Term, Texture
+from adjgi.adjoint_gi.core.world import World
+from adjgi.tests import scenes
+
+CASES = {
+    "cube whole": (scenes.cube, 1.0),
+    "cube fine": (scenes.cube, 0.13),
+    "turned boxes": (scenes.cornell, 0.07),
+    "triangles": (lambda: scenes.two_zone_sphere(2), 0.07),
+    "grid of triangles": (lambda: scenes.snowman(2), 0.2),
+}
+
+
+@pytest.fixture(params=CASES)
+def elements(request):
+    scene, edge = CASES[request.param]
+    return Elements(World(scene()), edge)
+
+
+def test_a_sample_is_found_again_in_its_element(elements):
+    rng = np.random.default_rng(1)
+    index = rng.integers(0, elements.count, 20_000)
+    assert np.array_equal(elements.locate(*elements.sample(index, rng)), index)
+
+
+def test_points_positions_and_cells_agree(elements):
+    rng = np.random.default_rng(2)
+    index = rng.integers(0, elements.count, 5000)
+    a, b = rng.random((2, 5000))
+    at = elements.point(index, a, b)
+    position = elements.position(index, a, b)
+    scale = elements.world.size
+    assert np.abs(elements.world.surface(*at).position - position).max() < 1e-6 * scale
+    assert np.abs(elements.position(*elements.cell(*at)) - position).max() < 1e-6 * scale
+
+
+def test_areas_centroids_and_corners(elements):
+    assert elements.area.sum() == pytest.approx(elements.world.area.sum(), rel=1e-12)
+    corners = elements.corners(np.arange(elements.count))
+    # The area of each element from its corners.
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross += np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 0])
+    assert np.allclose(0.5 * np.linalg.norm(cross, axis=1), elements.area, rtol=1e-9)
+    assert (np.einsum("ij,ij->i", cross, elements.normal) > 0).all()
+    quad = elements.is_quad
+    assert np.allclose(corners[quad].mean(axis=1), elements.centroid[quad], atol=1e-12)
+    assert np.allclose(corners[~quad][:, :3].mean(axis=1), elements.centroid[~quad], atol=1e-12)
+
+
+def test_no_edge_is_longer_than_asked(elements):
+    corners = elements.corners(np.arange(elements.count))
+    edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+    assert edges.max() <= elements.max_edge * (1 + 1e-5)
+
+
+def test_samples_are_uniform():
+    elements = Elements(World(scenes.two_zone_sphere(0)), 10.0)
+    rng = np.random.default_rng(3)
+    n = 40_000
+    triangle, u, v = elements.sample(np.zeros(n, int), rng)
+    assert (triangle == 0).all()
+    # Each of the nine sub-triangles of a 3 x 3 division gets its share; 5 standard deviations.
+    a, b = np.minimum((3 * u).astype(int), 2), np.minimum((3 * v).astype(int), 2)
+    upper = (3 * u - a) + (3 * v - b) > 1
+    counts = np.unique(100 * a + 10 * b + upper, return_counts=True)[1]
+    assert len(counts) == 9
+    assert np.abs(counts - n / 9).max() < 5 * np.sqrt(n / 9)
+
+
+def mesh(vertices, triangles, polygon, **options):
+    b = SceneBuilder()
+    b.mesh("Mesh", np.array(vertices, float), np.array(triangles), diffuse("Grey", 0.5), polygon=np.array(polygon), **options)
+    return b.build()
+
+
+SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+
+
+@pytest.mark.parametrize("first", [(0, 1, 2), (1, 2, 0), (2, 0, 1)])
+@pytest.mark.parametrize("second", [(0, 2, 3), (2, 3, 0), (3, 0, 2)])
+def test_parallelograms_are_found_whatever_corner_comes_first(first, second):
+    scene = mesh(SQUARE, [first, second], [0, 0])
+    assert parallelograms(scene).tolist() == [1, -1]
+    elements = Elements(World(scene), 0.26)
+    assert elements.count == 16
+    rng = np.random.default_rng(4)
+    index = rng.integers(0, 16, 2000)
+    assert np.array_equal(elements.locate(*elements.sample(index, rng)), index)
+
+
+def test_what_is_no_parallelogram_stays_two_triangles():
+    kite = [(0, 0, 0), (1, 0, 0), (2, 2, 0), (0, 1, 0)]
+    bent = [(0, 0, 0), (1, 0, 0), (1, 1, 0.1), (0, 1, 0)]
+    for vertices, triangles, polygon in (
+        (kite, [(0, 1, 2), (0, 2, 3)], [0, 0]),
+        (bent, [(0, 1, 2), (0, 2, 3)], [0, 0]),
+        (SQUARE, [(0, 1, 2), (0, 2, 3)], [0, 1]),  # two polygons
+        (SQUARE, [(0, 1, 2), (0, 3, 2)], [0, 0]),  # wound against each other
+    ):
+        scene = mesh(vertices, triangles, polygon)
+        assert (parallelograms(scene) == -1).all()
+        assert Elements(World(scene), 10.0).count == 2
+
+
+def test_a_sliver_does_not_explode():
+    elements = Elements(World(mesh([(0, 0, 0), (1000, 0, 0), (500, 0.001, 0)], [(0, 1, 2)], [0])), 0.1)
+    assert elements.count < 1000
+
+
+def test_automatic_edge_comes_near_the_target():
+    for scene in (scenes.cube(), scenes.cornell(), scenes.two_zone_sphere(1)):
+        world = World(scene)
+        count = Elements(world, 0, 3000).count
+        assert 1500 < count <= 3000
+        assert Elements.planned(world, 0, 3000) == count
+    # More triangles than wanted: one element each.
+    assert Elements(World(scenes.two_zone_sphere(3)), 0, 100).count == 1280
+
+
+def test_too_many_elements_are_refused_with_both_numbers():
+    with pytest.raises(MemoryRefused, match=r"6,000,000,000,000 elements; the limit is 20,000,000"):
+        Elements(World(scenes.cube()), 1e-6)
+
+
+def test_textured_colours_are_means():
+    pixels = np.zeros((2, 2, 4), np.float32)
+    pixels[0, 0, :3] = pixels[1, 1, :3] = 0.8
+    color = Color((Term((1.0, 0.5, 0.25), (Source("image", "UVMap", 0),)),))
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (1, 0, 0), (0, 1, 0), Material("Tiles", (Lobe("diffuse", color), Lobe("emission", color))))
+    scene = b.build()
+    scene = type(scene)(**{**scene.__dict__, "textures": (Texture("Tiles", pixels, interpolation="Closest"),)})
+    whole = Elements(World(scene), 1.0)
+    assert np.allclose(whole.albedo, [[0.4, 0.2, 0.1]])
+    assert np.allclose(whole.emitted, np.pi * whole.albedo)
+    halves = Elements(World(scene), 0.5)
+    assert np.allclose(sorted(halves.albedo[:, 0]), [0, 0, 0.8, 0.8])
+
+
+def test_smooth_values_keep_constants_and_follow_slopes(elements):
+    rng = np.random.default_rng(5)
+    index = rng.integers(0, elements.count, 3000)
+    at = elements.sample(index, rng)
+    one = np.ones(3000)
+    values = np.zeros((2 * elements.count, 3))
+    values[0::2], values[1::2] = 2.0, 3.0
+    assert np.allclose(elements.interpolate(values, *at, one), 2.0, rtol=1e-6)
+    assert np.allclose(elements.interpolate(values, *at, -one), 3.0, rtol=1e-6)
+    # Values that are linear in space come back to within an element's size.
+    slope = np.repeat(elements.centroid, 2, axis=0)
+    error = elements.interpolate(slope, *at, one) - elements.world.surface(*at).position
+    assert np.abs(error).max() < elements.max_edge
+
+
+def test_hard_edges_stay_hard_and_flat_neighbours_join():
+    b = SceneBuilder()
+    grey = diffuse("Grey", 0.5)
+    b.quad("Floor A", (0, 0, 0), (1, 0, 0), (0, 1, 0), grey)
+    b.quad("Floor B", (1, 0, 0), (1, 0, 0), (0, 1, 0), grey)
+    b.quad("Wall", (2, 0, 0), (0, 0, 1), (0, 1, 0), grey)
+    elements = Elements(World(b.build()), 0.5)
+    values = np.repeat(elements.patch[:, None] * np.ones(3), 2, axis=0)
+
+    def right(patch):  # the middle of the edge of largest x, in barycentrics of the builder's quads
+        return elements.interpolate(values, np.array([2 * patch]), np.array([0.5]), np.array([0.5]), np.ones(1))[0, 0]
+
+    def left(patch):
+        return elements.interpolate(values, np.array([2 * patch + 1]), np.array([0.0]), np.array([0.5]), np.ones(1))[0, 0]
+
+    assert left(0) == pytest.approx(0.0)
+    assert right(0) == left(1) == pytest.approx(0.5)
+    assert right(1) == pytest.approx(1.0)  # the wall's value does not bleed in
+    wall = np.flatnonzero(elements.patch == 2)
+    assert np.allclose(elements.interpolate(values, *elements.point(wall, np.full(4, 0.1), np.full(4, 0.1)), np.ones(4)), 2.0)
+
+
+def test_smooth_shading_joins_across_an_edge_that_flat_shading_keeps():
+    vertices, triangles = scenes.icosphere(1)
+    for normals, joined in ((vertices, True), (None, False)):
+        b = SceneBuilder()
+        b.mesh("Ball", vertices, triangles, diffuse("Grey", 0.5), smooth_normals=normals)
+        elements = Elements(World(b.build()), 10.0)
+        assert elements.nodes.count == (len(vertices) if joined else 3 * len(triangles))
+
+
+def test_element_receivers_lie_on_their_own_side(elements):
+    receivers = ElementReceivers(elements)
+    seen = np.zeros(receivers.count)
+    for points in receivers.sites():
+        surface = elements.world.surface(points.triangle, points.u, points.v, points.towards)
+        assert np.array_equal(elements.side(points.triangle, points.u, points.v, surface.side), points.receiver)
+        seen += np.bincount(points.receiver, minlength=receivers.count)
+    assert (seen == 4).all()
+    points = receivers.sample(np.arange(receivers.count), np.random.default_rng(6))
+    surface = elements.world.surface(points.triangle, points.u, points.v, points.towards)
+    assert np.array_equal(elements.side(points.triangle, points.u, points.v, surface.side), points.receiver)
+
+
+def camera_scene():
+    b = SceneBuilder()
+    b.background = (0.25, 0.5, 1.0)
+    b.quad("Floor", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Warm", (0.5, 0.25, 0.125), 0.5))
+    b.camera = Camera("orthographic", (1, 0.5, 2), (1, 0, 0), (0, 1, 0), (0, 0, -1), (-1, 1, -0.5, 0.5), 4, 2)
+    return b
+
+
+def test_answers_for_a_camera():
+    world = World(camera_scene().build())
+    elements = Elements(world, 1.0)
+    direct, indirect = np.zeros((2, 3)), np.zeros((2, 3))
+    direct[0], indirect[0], direct[1] = 4.0, 2.0, 99.0  # the back is not seen
+    parts = element_solution(elements, CameraReceivers(world), direct, indirect)
+    left = np.arange(8) % 4 < 2
+    albedo = np.array([0.5, 0.25, 0.125])
+    assert np.allclose(parts.emitted[left], 0.5)
+    assert np.allclose(parts.direct[left], 4 * albedo / np.pi, rtol=1e-6)
+    assert np.allclose(parts.indirect[left], 2 * albedo / np.pi, rtol=1e-6)
+    assert np.allclose(parts.albedo[left], albedo)
+    assert np.allclose(parts.extra["elements"][left], np.pi * 0.5 + 6 * albedo, rtol=1e-6)
+    assert np.allclose(parts.emitted[~left], [0.25, 0.5, 1.0])
+    assert not parts.direct[~left].any() and not parts.albedo[~left].any()
+    assert (parts.weight == 1).all()
+
+
+def test_a_lamp_with_a_size_is_seen_by_the_camera():
+    b = camera_scene()
+    b.light(Light("Lamp", "area", (3.0, 3.0, 3.0), position=(1.5, 0.5, 0.5), axis_z=(0, 0, -1), axis_x=(-1, 0, 0), size_x=1.0, size_y=1.0))
+    world = World(b.build())
+    parts = element_solution(Elements(world, 1.0), CameraReceivers(world), np.zeros((2, 3)), np.zeros((2, 3)))
+    right = np.arange(8) % 4 >= 2
+    assert np.allclose(parts.emitted[right], [3.25, 3.5, 4.0])
+
+
+def test_answers_for_texels_and_for_elements():
+    world = World(camera_scene().build())
+    elements = Elements(world, 0.5)
+    side = np.zeros((8, 3))
+    side[0::2] = 1.5
+    texels = SurfaceReceivers("texels", [0, 1, 3], [0, 0, 1], [0.1, 0.2, 0.3], [0.2, 0.3, 0.4])
+    parts = element_solution(elements, texels, side, 2 * side)
+    assert np.allclose(parts.direct, 1.5)
+    assert np.allclose(parts.indirect, 3.0)
+    assert np.allclose(parts.emitted, np.pi * 0.5)
+    own = element_solution(elements, ElementReceivers(elements), side, 2 * side)
+    assert np.array_equal(own.direct, side.astype(np.float32))
+    assert own.albedo.shape == (8, 3)
+
+
+def test_direct_light_at_receivers_replaces_that_of_elements_and_lengths_rule_it():
+    world = World(camera_scene().build())
+    elements = Elements(world, 0.5)
+    texels = SurfaceReceivers("texels", [0, 1, 2], [0, 1], [0.1, 0.3], [0.2, 0.4])
+
+    def gather(surface, rng):
+        return 7.0 * np.ones((len(surface.triangle), 3), np.float32), 5 * len(surface.triangle)
+
+    for low, high, direct, emitted in ((0, 9, 7.0, np.pi / 2), (2, 9, 1.0, 0.0), (0, 0, 1.0, np.pi / 2)):
+        answer = ElementAnswer(elements, texels, gather, low, high)
+        assert list(answer.prepare())[-1] == 1.0
+        parts = answer.parts(np.ones((8, 3)), np.zeros((8, 3)))
+        assert np.allclose(parts.direct, direct)
+        assert np.allclose(parts.emitted, emitted)
+        assert parts.rays == (10 if direct == 7.0 else 0)

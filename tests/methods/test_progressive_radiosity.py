@@ -1,0 +1,233 @@
+"""Progressive radiosity against exact solutions and against the full matrix, and its promises at every step."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.receivers import CameraReceivers
+from adjgi.adjoint_gi.core.registry import method
+from adjgi.adjoint_gi.core.scene import Light
+from adjgi.adjoint_gi.core.world import World
+from adjgi.solvers import matrix_radiosity, progressive_radiosity  # noqa: F401 - enter the methods
+from adjgi.tests import scenes
+
+
+def on_elements(scene, edge=10.0):
+    """The elements of the scene as receivers."""
+    return ElementReceivers(Elements(World(scene), edge))
+
+
+def states(receivers, name="progressive_radiosity", **options):
+    """Steps of a solve, one by one."""
+    solver = method(name)
+    world = receivers.elements.world if hasattr(receivers, "elements") else receivers.world
+    return solver.solve(world, receivers, solver.Settings(**options), np.random.default_rng(0))
+
+
+def solve(receivers, name="progressive_radiosity", **options):
+    """The finished solution."""
+    *_, last = states(receivers, name, **options)
+    return last.solution()
+
+
+def sphere_irradiance(receivers, solution):
+    """Irradiance of the fronts relative to the exact one, which takes the areas that the mesh gives the zones."""
+    e = receivers.elements
+    want = (e.area * e.emitted[:, 0]).sum() / (e.area * (1 - e.albedo[:, 0])).sum()
+    return solution.quantity("irradiance")[0::2, 0] / want
+
+
+def sphere_error(receivers, solution):
+    area = receivers.elements.area
+    return np.sqrt((area * (sphere_irradiance(receivers, solution) - 1) ** 2).sum() / area.sum())
+
+
+def test_one_furnace():
+    receivers = on_elements(scenes.cube(0.5, 1.0), 0.5)
+    s = solve(receivers, rays=400_000, tolerance=1e-7)
+    b = s.quantity("radiosity")[0::2]
+    area = receivers.elements.area[:, None]
+    assert np.allclose((area * b).sum(axis=0) / 6, 2.0, rtol=1e-6)
+    assert np.allclose(b, 2.0, rtol=0.01)
+
+
+def test_one_every_bounce():
+    receivers = on_elements(scenes.cube(0.5, 1.0), 0.5)
+    area = receivers.elements.area[:, None]
+    for longest, want in enumerate((1, 1.5, 1.75, 1.875, 1.9375, 1.96875)):
+        s = solve(receivers, rays=100_000, tolerance=0.0, max_length=longest)
+        assert np.allclose((area * s.quantity("radiosity")[0::2]).sum(axis=0) / 6, want, rtol=1e-6)
+        assert s.balance.gap < 1e-9
+        # What the length cuts off is reported as unshot.
+        assert s.balance.unshot > 0
+    s = solve(receivers, rays=100_000, tolerance=1e-7, min_length=2)
+    assert not s.emitted.any() and not s.direct.any()
+    assert np.allclose((area * s.indirect[0::2]).sum(axis=0) / 6, 1.0, rtol=1e-6)
+
+
+def test_two_power_balance():
+    receivers = on_elements(scenes.room(0.5, 0.5, 0.5, (0.3, 0, 0, 0, 0, 1.0)), 0.8)
+    s = solve(receivers, rays=300_000, tolerance=1e-7)
+    area = receivers.elements.area
+    flux = 16 * 1.0 + 12 * 0.3
+    mean = (area * s.quantity("irradiance")[0::2, 0]).sum() / area.sum()
+    assert mean == pytest.approx(flux / (area.sum() * 0.5), rel=1e-6)
+    # The backs emit into empty space.
+    assert s.balance.escaped == pytest.approx(3 * flux, rel=1e-6)
+    assert s.balance.gap < 1e-9
+
+
+def test_three_two_zone_sphere():
+    receivers = on_elements(scenes.two_zone_sphere(3))
+    few = solve(receivers, rays=100_000, tolerance=1e-4)
+    many = solve(receivers, rays=1_600_000, tolerance=1e-4)
+    assert sphere_error(receivers, many) < 0.5 * sphere_error(receivers, few)
+    assert sphere_error(receivers, many) < 0.03
+    e = receivers.elements
+    h = sphere_irradiance(receivers, many)
+    for zone in (0, 1):
+        which = e.centroid[:, 2] * (1 - 2 * zone) > 0
+        assert np.average(h[which], weights=e.area[which]) == pytest.approx(1.0, abs=0.004)
+
+
+def test_six_snowman():
+    c, rho, emission = 0.1, (0.5, 0.5), (1.0, 0.0)
+    receivers = on_elements(scenes.snowman(2, c, rho, emission))
+    e = receivers.elements
+    s = solve(receivers, rays=500_000, tolerance=1e-4)
+    b = s.quantity("radiosity")[0::2, 0]
+    bright = e.emitted[:, 0] > 0
+    got = np.average(b[bright], weights=e.area[bright]), np.average(b[~bright], weights=e.area[~bright])
+    want = scenes.snowman_answer(c, rho, emission)
+    assert got[0] == pytest.approx(want[0], rel=0.005)
+    assert got[1] == pytest.approx(want[1], rel=0.02)
+
+
+def test_ten_face_means():
+    receivers = on_elements(scenes.lit_cube(0.5), 1 / 8)
+    s = solve(receivers, rays=1_000_000, tolerance=1e-6)
+    e = receivers.elements
+    got = np.bincount(e.patch, e.area * s.quantity("radiosity")[0::2, 0], 6)
+    assert got[5] == pytest.approx(1.10384468, rel=1e-3)
+    assert got[4] == pytest.approx(0.17137322, rel=3e-3)
+    assert np.allclose(got[:4], 0.18119552, rtol=3e-3)
+
+
+@pytest.mark.parametrize("overshoot", [False, True])
+def test_it_comes_to_the_full_matrix(overshoot):
+    receivers = on_elements(scenes.cornell(), 0.15)
+    a = solve(receivers, rays=2_000_000, tolerance=1e-5, overshoot=overshoot)
+    b = solve(receivers, "matrix_radiosity", rays=4096)
+    area = np.repeat(receivers.elements.area, 2)[:, None]
+    for part in ("direct", "indirect"):
+        x, y = (area * getattr(s, part).astype(float) for s in (a, b))
+        assert np.allclose(x.sum(axis=0), y.sum(axis=0), rtol=0.02)
+        # Both have errors of their own: element by element they differ by a few percent of the mean.
+        assert np.sqrt(((x - y) ** 2 / area).sum(axis=0) / area.sum()).max() < 0.1 * y.sum(axis=0).max() / area.sum()
+
+
+def test_light_of_lamps_is_direct_and_shot_first():
+    b = SceneBuilder()
+    b.box("Box", (0, 0, 0), (4, 4, 4), diffuse("Wall", 0.5), inward=True)
+    b.light(Light("Lamp", "point", (10.0, 20.0, 30.0), position=(2, 2, 2)))
+    receivers = on_elements(b.build(), 1.0)
+    s = solve(receivers, rays=200_000, tolerance=1e-7)
+    area = receivers.elements.area[:, None]
+    direct = (area * s.direct[0::2]).sum(axis=0)
+    assert np.allclose(direct, 4 * np.pi * np.array([10, 20, 30]), rtol=0.01)
+    assert np.allclose((area * s.indirect[0::2]).sum(axis=0), direct, rtol=1e-5)
+    assert s.balance.emitted == pytest.approx(direct.sum(), rel=1e-6)
+
+
+def test_promises_of_every_step():
+    """Flux is conserved, unshot falls, nothing exceeds the end, fractions rise, and no step is long."""
+    receivers = on_elements(scenes.cornell(), 0.2)
+    final = solve(receivers, ambient=False, tolerance=1e-4, rays=500_000)
+    before, fraction, clock, unshot = None, 0.0, time.monotonic(), np.inf
+    for step in states(receivers, ambient=False, tolerance=1e-4, rays=500_000):
+        assert time.monotonic() - clock < 2.0  # a quarter of a second on a machine that is not busy
+        s = step.solution()
+        assert s.balance.gap <= 1e-9
+        assert s.balance.unshot <= unshot * (1 + 1e-12)
+        assert fraction <= step.fraction <= 1.0
+        now = s.quantity("irradiance")
+        assert before is None or (now >= before * (1 - 1e-6)).all()
+        assert (now <= final.quantity("irradiance") * (1 + 1e-5) + 1e-7).all()
+        before, fraction, unshot, clock = now, step.fraction, s.balance.unshot, time.monotonic()
+    assert fraction == 1.0
+    assert not s.partial
+    residuals = [r for _, r in s.history]
+    assert residuals == sorted(residuals, reverse=True)
+    assert residuals[-1] <= 1e-4
+
+
+def test_the_ambient_estimate_brings_partial_results_nearer_and_is_gone_at_the_end():
+    receivers = on_elements(scenes.cornell(), 0.2)
+    final = solve(receivers, rays=200_000)
+    assert np.array_equal(final.indirect, solve(receivers, rays=200_000, ambient=False).indirect)
+    truth = final.indirect.mean()
+    # The truth lies nearer to the partial result with the estimate; a step's solution is of the moment it is asked for.
+    nearer = []
+    both = zip(states(receivers, rays=200_000), states(receivers, rays=200_000, ambient=False), strict=True)
+    for with_, without in both:
+        if with_.fraction < 1:
+            middle = with_.solution().indirect
+            nearer.append(abs(middle.mean() - truth) < abs(without.solution().indirect.mean() - truth))
+    assert len(nearer) > 5
+    assert np.mean(nearer) > 0.9
+    # The backs of closed boxes are never reached, so the estimate does not light them.
+    dark = np.flatnonzero(final.direct.sum(axis=1) + final.indirect.sum(axis=1) == 0)
+    assert len(dark) and not middle[dark].any()
+
+
+def test_same_result_whatever_the_seed_and_the_threads(monkeypatch):
+    world = World(scenes.cornell(8, 8))
+    results = []
+    for seed, threads in ((0, "1"), (5, "3")):
+        monkeypatch.setenv("ADJOINT_GI_THREADS", threads)
+        results.append(solve(CameraReceivers(world), max_edge=0.3, seed=seed, rays=50_000))
+    assert np.array_equal(results[0].direct, results[1].direct)
+    assert np.array_equal(results[0].indirect, results[1].indirect)
+    assert results[0].rays == results[1].rays
+
+
+def test_a_stop_keeps_the_partial_result_and_the_generator_goes_on():
+    receivers = on_elements(scenes.cornell(), 0.2)
+    run = states(receivers, rays=200_000)
+    early = [next(run) for _ in range(3)][-1].solution()
+    assert early.partial
+    *_, last = run
+    assert np.array_equal(last.solution().indirect, solve(receivers, rays=200_000).indirect)
+
+
+def test_albedo_one_ends_by_the_number_of_shots_and_says_so():
+    s = solve(on_elements(scenes.cube(1.0, 1.0), 0.5), rays=10_000, max_shots=500)
+    assert any("stopped after 500 shots" in str(w) for w in s.warnings)
+    assert np.isfinite(s.quantity("irradiance")).all()
+    assert s.balance.gap < 1e-9
+
+
+def test_overshooting_with_bounded_lengths_is_off_and_says_so():
+    s = solve(on_elements(scenes.lit_cube(0.5)), rays=10_000, overshoot=True, max_length=3)
+    assert any("overshooting is off" in str(w) for w in s.warnings)
+
+
+def test_a_dark_scene_and_an_empty_one():
+    s = solve(on_elements(scenes.cube()))
+    assert not s.quantity("radiosity").any()
+    assert any("nothing emits light" in str(w) for w in s.warnings)
+    assert solve(on_elements(SceneBuilder().build())).direct.shape == (0, 3)
+
+
+def test_memory_grows_linearly():
+    solver = method("progressive_radiosity")
+    needed = []
+    for edge in (0.02, 0.01):
+        world = World(scenes.cube())
+        receivers = CameraReceivers(World(scenes.cornell(1, 1)))
+        needed.append(solver.memory(world, receivers, solver.Settings(max_edge=edge)) - 600 * progressive_radiosity.LARGEST_BATCH)
+    assert needed[1] == pytest.approx(4 * needed[0], rel=0.01)
