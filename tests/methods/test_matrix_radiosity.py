@@ -13,8 +13,10 @@ from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.registry import method
 from adjgi.adjoint_gi.core.scene import Color, Light, Lobe, Material
 from adjgi.adjoint_gi.core.world import World
-from adjgi.solvers import matrix_radiosity  # noqa: F401 - enters the method
+from adjgi.solvers import load
 from adjgi.tests import scenes
+
+load()
 
 
 def on_elements(scene, edge=10.0, exact=None):
