@@ -1,0 +1,183 @@
+"""Local illumination against closed forms: points, areas, highlights, shadows, ambient light."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.receivers import CameraReceivers
+from adjgi.adjoint_gi.core.registry import method
+from adjgi.adjoint_gi.core.scene import Camera, Color, Light, Lobe, Material
+from adjgi.adjoint_gi.core.world import World
+from adjgi.solvers import local_illumination  # noqa: F401
+from adjgi.tests import scenes
+from adjgi.tests.surface_points import receivers_at
+
+AXES = {"axis_x": (1, 0, 0), "axis_y": (0, 1, 0), "axis_z": (0, 0, 1)}
+
+
+def solve(world, receivers, **options):
+    solver = method("local_illumination")
+    *_, last = solver.solve(world, receivers, solver.Settings(**options), np.random.default_rng(0))
+    return last.solution()
+
+
+def floor(*lights, material=None, extra=None):
+    b = SceneBuilder()
+    b.quad("Floor", (-4, -4, 0), (8, 0, 0), (0, 8, 0), material or diffuse("Floor", 0.5))
+    for light in lights:
+        b.light(light)
+    if extra:
+        extra(b)
+    return b
+
+
+def irradiance(b, points, **options):
+    world = World(b.build())
+    return solve(world, receivers_at(world, points), **options).quantity("irradiance")[:, 0]
+
+
+CIE_5_2 = {
+    (0, 0): 111.1111,
+    (0.5, 0): 105.1863,
+    (1, 0): 90.0,
+    (1.5, 0): 71.1111,
+    (0.5, 0.5): 99.7230,
+    (1, 0.5): 85.6633,
+    (1.5, 0.5): 68.0529,
+    (1, 1): 74.3802,
+    (1.5, 1): 59.9750,
+    (1.5, 1.5): 49.3827,
+}
+
+
+def test_cie_171_case_5_2():
+    """A Lambertian point source of 1000 cd at 3 m, as a square of 1 cm: E = 1000 * 9 / d^4."""
+    side = 0.01
+    lamp = Light("Lamp", "area", (1000 / side**2,) * 3, (0, 0, 3), **AXES, size_x=side, size_y=side)
+    found = irradiance(floor(lamp), [(x, y, 0) for x, y in CIE_5_2], light_points=1)
+    np.testing.assert_allclose(found, list(CIE_5_2.values()), rtol=1e-4)
+
+
+def test_isotropic_point_lamp():
+    """E = I cos / d^2 (Eq. 7)."""
+    points = [(x, 0.3, 0) for x in (0, 0.7, 2.0, 3.5)]
+    found = irradiance(floor(Light("Lamp", "point", (7, 7, 7), (0, 0, 2))), points)
+    expected = [7 * 2 / (x * x + 0.09 + 4) ** 1.5 for x, _, _ in points]
+    np.testing.assert_allclose(found, expected, rtol=2e-5)  # rays start 8e-6 m above the floor
+
+
+@pytest.mark.parametrize(("at", "factor"), [((0.5, 0.5), 0.23945647046077354), ((0, 0), 0.13853160599489298)])
+def test_area_lamp_within_the_error_of_the_sum(at, factor):
+    """Unit square at distance 1: the error of the sum over light points falls, to half a percent at 256."""
+    lamp = Light("Lamp", "area", (2, 2, 2), (0.5, 0.5, 1), **AXES, size_x=1, size_y=1)
+    errors = [abs(irradiance(floor(lamp), [(*at, 0)], light_points=k)[0] / (2 * math.pi * factor) - 1) for k in (1, 16, 256)]
+    assert errors[0] < 0.5
+    assert errors[1] < 0.15
+    assert errors[2] < 0.005
+
+
+def test_emissive_mesh_within_the_error_of_the_sum():
+    """CIE 171 case 5.3: floor points below a ceiling panel of 1 x 1 m, 1000 cd/m2."""
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (4, 0, 0), (0, 4, 0), diffuse("Black", 0))
+    b.quad("Panel", (1.5, 1.5, 3), (0, 1, 0), (1, 0, 0), diffuse("Panel", 0, 1000))
+    found = irradiance(b, [(2, y, 0) for y in (0.25, 0.75, 1.25, 1.75)], light_points=256)
+    np.testing.assert_allclose(found, [61.4241, 79.2552, 95.6673, 105.7782], rtol=0.005)
+
+
+def test_shadows_on_and_off():
+    blocker = lambda b: b.quad("Blocker", (-0.5, -0.5, 1), (1, 0, 0), (0, 1, 0), diffuse("Black", 0))  # noqa: E731
+    b = floor(Light("Lamp", "point", (5, 5, 5), (0, 0, 2)), extra=blocker)
+    points = [(0.2, 0.1, 0), (3, 0, 0)]
+    lit = irradiance(b, points, shadows=False)
+    shaded = irradiance(b, points)
+    assert shaded[0] == 0
+    assert lit[0] == pytest.approx(5 * 2 / (0.05 + 4) ** 1.5, rel=1e-5)
+    assert shaded[1] == lit[1] > 0
+
+
+def looking_down(b, kind="orthographic"):
+    """A camera of one pixel that sees the origin of the floor from (3, 0, 4), by one ray."""
+    f = np.array((-0.6, 0, -0.8))
+    b.camera = Camera(kind, (3, 0, 4), (0, 1, 0), tuple(np.cross((0, 1, 0), f)), tuple(f), (-1e-4, 1e-4, -1e-4, 1e-4), 1, 1)
+    world = World(b.build())
+    return world, CameraReceivers(world, grid=1)
+
+
+def test_ambient_is_uniform_and_counts_as_indirect():
+    b = floor()
+    world = World(b.build())
+    found = solve(world, receivers_at(world, [(1, 1, 0)]), ambient=0.3)
+    np.testing.assert_allclose(found.indirect, math.pi * 0.3, rtol=1e-6)
+    assert (found.direct == 0).all()
+    world, camera = looking_down(b)
+    np.testing.assert_allclose(solve(world, camera, ambient=0.3).quantity("radiance"), 0.5 * 0.3, rtol=1e-6)
+    assert (solve(world, camera, ambient=0.3, max_length=1).quantity("radiance") == 0).all()
+
+
+@pytest.mark.parametrize("model", ["bouknight", "phong", "cook"])
+def test_reflection_models(model):
+    """Eq. 7, 8 and Cook's form by hand: lamp 20 degrees beside the mirror direction."""
+    roughness, ks, kd, intensity = 0.5, 0.3, 0.4, 9.0
+    shiny = Material("Shiny", (Lobe("diffuse", Color.of(kd)), Lobe("glossy", Color.of(ks), roughness)))
+    wo = np.array((0.6, 0, 0.8))
+    angle = math.acos(0.8) - math.radians(20)
+    wi = np.array((-math.sin(angle), 0, math.cos(angle)))
+    world, camera = looking_down(floor(Light("Lamp", "point", (intensity,) * 3, tuple(2.5 * wi)), material=shiny))
+    found = solve(world, camera, model=model).quantity("radiance")[0, 0]
+    n = (2 / roughness**4 - 2) / 4
+    beam = intensity / 2.5**2
+    alpha = math.acos(wo @ (wi * (-1, 1, 1)))
+    assert math.degrees(alpha) == pytest.approx(20, abs=1e-4)
+    highlight = ks * (n + 2) / (2 * math.pi) * math.cos(alpha) ** n
+    expected = {
+        "bouknight": kd / math.pi * beam * wi[2],
+        "phong": beam * (kd / math.pi * wi[2] + highlight),
+        "cook": beam * wi[2] * (kd / math.pi + highlight),
+    }
+    assert found == pytest.approx(expected[model], rel=2e-4)
+
+
+def test_phong_lobe_reflects_its_share():
+    """The lobe (n + 2) / 2 pi cos^n alpha times the cosine, integrated at normal incidence, is k_s."""
+    from adjgi.adjoint_gi.core.bsdf import BsdfTable
+    from adjgi.adjoint_gi.core.light_points import phong_lobe
+
+    for roughness in (0.3, 0.6, 0.9):
+        world = World(floor(material=Material("G", (Lobe("glossy", Color.of(0.7), roughness),))).build())
+        z = (np.arange(20_000) + 0.5) / 20_000
+        n = len(z)
+        wi = np.stack([np.sqrt(1 - z * z), np.zeros(n), z], axis=1).astype(np.float32)
+        up = np.tile(np.array((0, 0, 1), np.float32), (n, 1))
+        at = np.zeros(n, np.int32), np.full(n, 0.2, np.float32), np.full(n, 0.2, np.float32)
+        lobes = BsdfTable(world.scene).at(*at, up, np.ones(n, np.float32), up)
+        total = 2 * math.pi * (phong_lobe(lobes, wi)[:, 0].astype(float) * z).mean()
+        assert total == pytest.approx(0.7, rel=2e-3)
+
+
+def test_emission_is_seen_and_lengths_choose():
+    world = World(scenes.cornell(24, 24))
+    camera = CameraReceivers(world)
+    whole = solve(world, camera, ambient=0.2)
+    assert whole.emitted.max() == pytest.approx(15, rel=1e-5)
+    one = solve(world, camera, ambient=0.2, min_length=1, max_length=1)
+    assert (one.emitted == 0).all()
+    assert (one.indirect == 0).all()
+    np.testing.assert_array_equal(one.direct, whole.direct)
+
+
+def test_same_bits_for_any_number_of_threads(monkeypatch):
+    world = World(scenes.cornell(40, 40))
+    found = []
+    for threads in ("1", "2"):
+        monkeypatch.setenv("ADJOINT_GI_THREADS", threads)
+        found.append(solve(world, CameraReceivers(world)).quantity("radiance"))
+    np.testing.assert_array_equal(*found)
+    assert found[0].mean() > 0.05
+
+
+def test_no_lights_is_black():
+    assert (irradiance(floor(), [(0, 0, 0)]) == 0).all()
