@@ -83,7 +83,8 @@ def target_objects(context: bpy.types.Context, request: BakeRequest) -> list[bpy
     depsgraph = context.evaluated_depsgraph_get()
     shown = {i.object.original.session_uid for i in depsgraph.object_instances if not i.is_instance and i.object.type == "MESH"}
     objects = [o for o in context.view_layer.objects if o.type == "MESH" and o.session_uid in shown and not o.hide_render]
-    return [o for o in objects if len(o.evaluated_get(depsgraph).data.polygons)]
+    # In edit mode the evaluated mesh shows no faces here, although the scene has them.
+    return [o for o in objects if o.mode == "EDIT" or len(o.evaluated_get(depsgraph).data.polygons)]
 
 
 def inspect(world: World, request: BakeRequest) -> list[Notice]:
@@ -99,7 +100,7 @@ def inspect(world: World, request: BakeRequest) -> list[Notice]:
         for name in [n for n in request.objects if n not in found]:
             reason = "is not in the scene as it is rendered: it has no faces with an area, or is seen only as an instance"
             notices.append(Notice(name, reason, "Give it faces, show it in renders, or make its instances real", "error"))
-        if not receivers and not request.objects:
+        if not receivers and not request.objects and not any(n.severity == "error" for n in notices):
             notices.append(Notice("Scene", "has no mesh object with faces to bake", "Add one, or show one in renders", "error"))
     if not emits(world):
         notices.append(Notice("Scene", "nothing emits light; the result is black", "Add a light, an emitting material or a world colour"))

@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is said before a bake. Numbers are those of section 7 of the verification page."""
+
+from __future__ import annotations
+
+import os
+
+import bpy
+import pytest
+from adjgi import solvers
+from adjgi.adjoint_gi.bridge import demo
+from adjgi.adjoint_gi.bridge import preflight as module
+from adjgi.adjoint_gi.bridge.bake import Bake, BakeRequest, preflight
+from adjgi.adjoint_gi.core import registry
+from adjgi.adjoint_gi.core.errors import AdjointError
+
+solvers.load()
+CORNERS = [(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)]
+INWARD = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (1, 5, 7, 3), (3, 7, 6, 2), (2, 6, 4, 0)]
+
+
+def request(target="texture", method="path_tracing", **more):
+    return BakeRequest(method, registry.method(method).Settings(), target, **{"resolution": 16, **more})
+
+
+def said(target="texture", **more):
+    return preflight(bpy.context, request(target, **more))
+
+
+def errors(target="texture", **more):
+    return [n for n in said(target, **more) if n.severity == "error"]
+
+
+def warnings(target="texture", **more):
+    return [n for n in said(target, **more) if n.severity == "warning"]
+
+
+def refused_by(notices, object, reason):
+    """The one error has this object and reason, and a remedy; a bake is refused with the same words."""
+    assert len(notices) == 1, notices
+    assert object in notices[0].object and reason in notices[0].reason and notices[0].remedy, notices[0]
+    return notices[0]
+
+
+def plane(name="Plane", color=(0.8, 0.8, 0.8), emission=None):
+    return demo.quad(bpy.context.scene, name, (0, 0, 0), (1, 0, 0), (0, 1, 0), demo.material(name, color, emission))
+
+
+def room(faces=INWARD, corners=CORNERS, name="Room"):
+    return demo.mesh_object(bpy.context.scene, name, corners, faces, demo.material("Wall", (0.5, 0.5, 0.5)))
+
+
+def lamp(location=(0.5, 0.5, 0.9), energy=10.0):
+    data = bpy.data.lights.new("Lamp", "POINT")
+    data.energy, data.shadow_soft_size = energy, 0.0
+    made = bpy.data.objects.new("Lamp", data)
+    made.location = location
+    bpy.context.scene.collection.objects.link(made)
+    return made
+
+
+def linked(name, kind):
+    made = bpy.data.objects.new(name, kind)
+    bpy.context.scene.collection.objects.link(made)
+    return made
+
+
+def test_1_empty_scene():
+    refused_by(errors(), "Scene", "has no faces and no lights")
+    with pytest.raises(AdjointError, match="has no faces and no lights"):
+        Bake(bpy.context, request())
+
+
+def test_2_only_lights_refuses_a_lightmap_and_gives_a_black_picture(tmp_path):
+    lamp()
+    notices = said()
+    assert any("no mesh object with faces to bake" in n.reason for n in notices if n.severity == "error")
+    assert any("every result is black" in n.reason for n in notices)
+    camera = linked("Camera", bpy.data.cameras.new("Camera"))
+    camera.location = (0, 0, 50)
+    bpy.context.scene.camera = camera
+    made = Bake(bpy.context, request("render", output=str(tmp_path), width=8, height=8))
+    assert not made.driver.run().quantity("radiance").any()
+    assert any("every result is black" in n.reason for n in made.notices)
+
+
+@pytest.mark.parametrize("points", [[], [(0, 0, 0), (1, 0, 0)]], ids=["3 no vertices", "4 vertices only"])
+def test_3_4_meshes_without_faces_are_named_and_refused_when_asked_for(points):
+    plane(emission=(1, 1, 1))
+    demo.mesh_object(bpy.context.scene, "Points", points, [], demo.material("M", (1, 1, 1)))
+    notices = said()
+    assert not [n for n in notices if n.severity == "error"]
+    assert any("Points" in n.object and "no faces" in n.reason for n in notices)
+    assert any("Points" in n.object and "no faces" in n.reason for n in errors(objects=("Points",)))
+
+
+def test_20_open_box_is_told_and_a_gap_is_a_warning():
+    lamp()
+    made = room(INWARD[:5])
+    notices = said()
+    assert not [n for n in notices if n.severity != "info"], notices
+    assert any("is open" in n.reason for n in notices)
+    bpy.data.objects.remove(made)
+    room()
+    assert not any("open" in n.reason or "closed" in n.reason for n in said()), "closed"
+    bpy.data.objects.remove(bpy.data.objects["Room"])
+    room([INWARD[0], *INWARD[2:]])
+    demo.quad(bpy.context.scene, "Lid", (0, 0, 1.02), (0, 1, 0), (1, 0, 0), demo.material("Lid", (0.5, 0.5, 0.5)))
+    found = [n for n in said() if "nearly closed" in n.reason]
+    assert len(found) == 1 and "%" in found[0].reason and found[0].remedy
+
+
+def test_22_turned_normals_are_told_with_their_share():
+    lamp()
+    turned = [tuple(reversed(INWARD[0])), *INWARD[1:]]
+    room(turned)
+    (notice,) = warnings()
+    assert notice.object == "Room" and "arrives at the back of its faces" in notice.reason and notice.remedy
+    share = float(notice.reason.split()[0])
+    assert 5 < share < 35, "one face of six"
+    bpy.data.objects.remove(bpy.data.objects["Room"])
+    room([tuple(reversed(face)) for face in INWARD])
+    assert warnings()[0].reason.startswith("100 %")
+
+
+def test_22_boxes_without_a_bottom_do_not_warn():
+    scene = demo.build_cornell()
+    with bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
+        assert warnings() == []
+
+
+def test_26_other_kinds_are_named():
+    plane(emission=(1, 1, 1))
+    linked("Empty", None)
+    volume = linked("Smoke", bpy.data.volumes.new("Smoke"))
+    notices = said()
+    assert not [n for n in notices if n.severity == "error"]
+    assert any(volume.name in n.object for n in notices)
+    refused_by(errors(objects=("Empty",)), "Empty", "not a mesh")
+
+
+def test_27_edit_mode_is_refused_while_the_mesh_would_change():
+    made = plane(emission=(1, 1, 1))
+    bpy.context.view_layer.objects.active = made
+    bpy.ops.object.mode_set(mode="EDIT")
+    try:
+        for target in ("texture", "attribute"):
+            notice = refused_by(errors(target), "Plane", "edit mode")
+            assert "edit mode" in notice.remedy.lower()
+    finally:
+        bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def test_28_hidden_and_excluded_objects():
+    plane("Shown", emission=(1, 1, 1))
+    hidden = plane("Hidden")
+    hidden.hide_render = True
+    away = bpy.data.collections.new("Away")
+    bpy.context.scene.collection.children.link(away)
+    other = plane("Other")
+    bpy.context.scene.collection.objects.unlink(other)
+    away.objects.link(other)
+    bpy.context.view_layer.layer_collection.children["Away"].exclude = True
+    assert errors() == []
+    assert [o.name for o in module.target_objects(bpy.context, request())] == ["Shown"]
+    refused_by(errors(objects=("Hidden",)), "Hidden", "hidden in render")
+    refused_by(errors(objects=("Other",)), "Other", "not in this view layer")
+    notice = refused_by(errors(objects=("Nobody",)), "Nobody", "does not exist")
+    assert "Shown" in notice.remedy
+
+
+def test_40_no_light_is_a_warning():
+    plane()
+    (notice,) = warnings()
+    assert "nothing emits light; the result is black" in notice.reason and notice.remedy
+    assert errors() == []
+    lamp((0.5, 0.5, 1))
+    assert warnings() == []
+
+
+def test_41_no_uv_map_gets_one_and_a_missing_name_is_refused():
+    made = plane(emission=(1, 1, 1))
+    assert any("one is made" in n.reason and n.severity == "info" for n in said())
+    notice = refused_by(errors(uv_layer="Light"), "Plane", 'has no UV layer "Light" (layers: none)')
+    assert "leave it empty" in notice.remedy
+    assert len(made.data.uv_layers) == 0
+    Bake(bpy.context, request())
+    assert len(made.data.uv_layers) == 1
+    assert not any("one is made" in n.reason for n in said())
+
+
+def test_42_eight_uv_maps():
+    made = plane(emission=(1, 1, 1))
+    for k in range(8):
+        made.data.uv_layers.new(name=f"UV{k}")
+    notice = refused_by(errors(), "Plane", "has 8 UV layers")
+    assert "name the one" in notice.remedy
+    assert errors(uv_layer="UV3") == []
+
+
+def test_46_sizes_of_lightmaps():
+    plane(emission=(1, 1, 1))
+    assert errors(resolution=1) == []
+    for bad in (0, -1, 16385):
+        refused_by(errors(resolution=bad), "resolution", str(bad))
+
+
+def test_49_a_mesh_shared_by_objects():
+    made = plane(emission=(1, 1, 1))
+    other = linked("Twin", made.data)
+    other.location = (3, 0, 0)
+    assert errors("texture") == []
+    notices = errors("attribute")
+    assert notices and all("shares its mesh" in n.reason and n.remedy for n in notices)
+    assert errors("attribute", new_object=True) == []
+
+
+def test_55_unsaved_file_is_said(tmp_path):
+    plane(emission=(1, 1, 1))
+    assert any("never saved" in n.reason and n.severity == "info" for n in said())
+    assert not any("never saved" in n.reason for n in said(output=str(tmp_path)))
+
+
+def test_56_folders_that_cannot_be_written_to(tmp_path):
+    plane(emission=(1, 1, 1))
+    file = tmp_path / "file"
+    file.write_text("x")
+    refused_by(errors(output=str(file)), "file", "is a file, not a folder")
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0o500)
+    if os.access(closed, os.W_OK):
+        pytest.skip("this user may write to every folder")
+    refused_by(errors(output=str(closed)), "closed", "no permission")
+
+
+def test_modifiers_that_change_the_mesh_refuse_an_attribute():
+    made = plane(emission=(1, 1, 1))
+    made.modifiers.new("Subdivide", "SUBSURF").levels = 1
+    notices = errors("attribute")
+    assert len(notices) == 1 and "Subdivide" in notices[0].reason
+    assert errors("attribute", new_object=True) == [] and errors("texture") == []
+
+
+def test_picture_without_camera_or_folder():
+    plane(emission=(1, 1, 1))
+    reasons = [n.reason for n in errors("render")]
+    assert any("no active camera" in r for r in reasons) and any("no folder" in r for r in reasons)
+
+
+def test_memory_is_estimated_and_refused(monkeypatch):
+    plane(emission=(1, 1, 1))
+    assert any("of memory" in n.reason and "256 texels" in n.reason for n in said())
+    assert any("elements" in n.reason for n in said(method="progressive_radiosity"))
+    monkeypatch.setattr(module, "available_memory", lambda: 1000)
+    notice = refused_by(errors(), "Path Tracing", "1 kB are free")
+    assert "Lower the resolution" in notice.remedy
+
+
+def test_big_scenes_are_left_to_the_bake(monkeypatch):
+    plane(emission=(1, 1, 1))
+    monkeypatch.setattr(module, "QUICK", 1)
+    monkeypatch.setattr(module, "extract", None)
+    assert any("looked at when the bake starts" in n.reason for n in said())
+
+
+def test_nothing_is_changed_by_looking():
+    made = plane(emission=(1, 1, 1))
+    before = (len(bpy.data.images), len(made.data.uv_layers), list(made.keys()), list(made.data.keys()))
+    for target in ("texture", "attribute", "render"):
+        said(target)
+    assert before == (len(bpy.data.images), len(made.data.uv_layers), list(made.keys()), list(made.data.keys()))
