@@ -219,6 +219,17 @@ def test_camera_sees_the_furnace():
     assert facing.any() and s.extra["depth"][facing].min() >= 0.5 and s.extra["depth"].max() < 0.9
 
 
+def test_faces_work_from_behind():
+    """A furnace whose walls all face outward, seen from inside: emission and reflection are those of the other side."""
+    b = SceneBuilder()
+    b.box("Box", (0, 0, 0), (1, 1, 1), diffuse("Wall", 0.5, 1 / PI), inward=False)
+    b.camera = Camera("perspective", (0.5, 0.5, 0.5), (1, 0, 0), (0, 0, 1), (0, 1, 0), (-0.7, 0.7, -0.7, 0.7), 32, 24)
+    world = World(b.build())
+    s = solve(world, CameraReceivers(world))
+    check(s.quantity("radiance") * PI, [2.0] * 3)
+    assert s.extra["normal"][:, 1].min() < -0.999
+
+
 def test_camera_sees_lamps_and_the_sky():
     b = SceneBuilder()
     b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), diffuse("Black", 0.0))
