@@ -113,15 +113,18 @@ class PowerTable:
         scaled = self.probability * self.count
         self._keep = np.ones(len(weights))
         self._alias = np.arange(len(weights))
-        # Entries below 1 are filled up from entries above 1, first come first served; the last one gives the rest of itself away.
-        small = [i for i in range(self.count) if scaled[i] < 1]
-        large = [i for i in range(self.count) if scaled[i] >= 1]
-        while small and large:
-            i, j = small.pop(), large[-1]
-            self._keep[i], self._alias[i] = scaled[i], j
-            scaled[j] -= 1 - scaled[i]
-            if scaled[j] < 1:
-                small.append(large.pop())
+        # Entries below 1 are filled up by entries above 1 in turn. One that has given away too much is filled up by the next one,
+        # so that running sums of what is missing and what is spare say who fills whom (Huebschle-Schneider and Sanders 2022).
+        small, large = np.flatnonzero(scaled < 1), np.flatnonzero(scaled >= 1)
+        if self.count and len(small):
+            missing, spare = np.cumsum(1 - scaled[small]), np.cumsum(scaled[large] - 1)
+            before = np.append(0.0, missing[:-1])
+            giver = np.minimum(np.searchsorted(spare, before, side="right"), len(large) - 1)
+            self._keep[small], self._alias[small] = scaled[small], large[giver]
+            last = np.searchsorted(missing, spare[:-1])
+            given = np.minimum(last, len(small) - 1)
+            self._keep[large[:-1]] = np.where(last < len(small), 1 - (missing[given] - spare[:-1]), 1.0)
+            self._alias[large[:-1]] = large[1:]
         if self.count:
             # What rounding leaves over must not give an index of weight 0 a chance.
             zero = (self.probability == 0) & (self._keep > 0)

@@ -130,11 +130,13 @@ def test_picks_by_weight(weights):
             assert (cells == np.argmax(weights)).all()
 
 
-def test_picks_exactly_what_the_table_says():
-    table = PowerTable(np.random.default_rng(8).random(37) ** 4)
+@pytest.mark.parametrize("count", [2, 3, 37, 1000])
+@pytest.mark.parametrize("power", [0.1, 1, 4, 30])
+def test_picks_exactly_what_the_table_says(count, power):
+    table = PowerTable(np.random.default_rng(8).random(count) ** power)
     n = 1 << 20
-    counts = np.bincount(table.pick((np.arange(n) + 0.5) / n), minlength=37)
-    assert np.allclose(counts / n, table.probability, atol=37 / n)
+    counts = np.bincount(table.pick((np.arange(n) + 0.5) / n), minlength=count)
+    assert np.allclose(counts / n, table.probability, atol=(count + 1) / n)
 
 
 def test_power_table_refuses_what_is_no_weight():
