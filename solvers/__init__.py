@@ -8,6 +8,7 @@ MODULES: tuple[str, ...] = (
     "local_illumination",
     "whitted",
     "distribution",
+    "irradiance_cache",
     "path_tracing",
     "particle_tracing",
     "matrix_radiosity",

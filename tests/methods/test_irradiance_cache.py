@@ -1,0 +1,139 @@
+"""Irradiance caching: exact where irradiance is constant, converging with its accuracy, indifferent to threads."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core.irradiance_records import RecordIndex, Records
+from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.registry import method
+from adjgi.adjoint_gi.core.world import World
+from adjgi.solvers import load
+from adjgi.tests import scenes
+
+load()
+
+
+def points_on(world, per_triangle, seed=0):
+    """Receivers of one point each, spread over all triangles."""
+    rng = np.random.default_rng(seed)
+    triangle = np.repeat(np.arange(world.triangle_count), per_triangle)
+    a, b = rng.random((2, len(triangle)))
+    s = np.sqrt(a)
+    return SurfaceReceivers("texels", np.arange(len(triangle) + 1), triangle, 1 - s, b * s)
+
+
+def bake(world, receivers, **settings):
+    solver = method("irradiance_cache")
+    values = solver.Settings(**{"light_samples": 64, **settings})
+    for step in solver.solve(world, receivers, values, np.random.default_rng(values.seed)):
+        last = step
+    return last.solution()
+
+
+@pytest.mark.parametrize("accuracy", [1.0, 0.3])
+@pytest.mark.parametrize("rho", [0.5, 0.8])
+def test_furnace_is_exact_whatever_the_accuracy(rho, accuracy):
+    world = World(scenes.cube(rho, 1.0))
+    out = bake(world, points_on(world, 20), rays=1024, accuracy=accuracy)
+    indirect = out.indirect[:, 0].astype(float)
+    # T1: H = E / (1 - rho), of which E comes straight from the emitters.
+    assert indirect.mean() == pytest.approx(1 / (1 - rho) - 1, rel=0.01)
+    assert out.direct[:, 0].mean() == pytest.approx(1.0, rel=0.01)
+
+
+def test_two_zone_sphere():
+    scene = scenes.two_zone_sphere(level=3)
+    world = World(scene)
+    emitted = np.array([1.0, 0.0])
+    rho = np.array([0.2, 0.8])
+    zone = scene.material - scene.material.min()
+    share = world.area / world.area.sum()
+    expected = (share * emitted[zone]).sum() / (1 - (share * rho[zone]).sum())
+    out = bake(world, points_on(world, 1), rays=512, accuracy=0.5)
+    total = out.quantity("irradiance")[:, 0].astype(float)
+    assert np.average(total, weights=world.area) == pytest.approx(expected, rel=0.015)
+
+
+def reference(world, receivers):
+    solver = method("path_tracing")
+    *_, last = solver.solve(world, receivers, solver.Settings(samples=4096), np.random.default_rng(5))
+    return last.solution().indirect.astype(float)
+
+
+def floor_points(world):
+    """A grid of points on the open floor of the Cornell box."""
+    g = (np.arange(12) + 0.5) / 12
+    x, y = (a.ravel() for a in np.meshgrid(g, g))
+    # The floor's triangles are 0 (x > y) and 1.
+    first = x > y
+    u = np.where(first, x - y, x)
+    v = np.where(first, y, y - x)
+    return SurfaceReceivers("texels", np.arange(len(x) + 1), np.where(first, 0, 1), u, v)
+
+
+def test_error_falls_with_accuracy_and_gradients_help():
+    world = World(scenes.cornell(boxes=False))
+    receivers = floor_points(world)
+    truth = reference(world, receivers)
+
+    def error(**settings):
+        out = bake(world, receivers, rays=8000, min_spacing=1e-4, light_samples=1, **settings).indirect.astype(float)
+        return float(np.sqrt(((out - truth) ** 2).mean()) / truth.mean())
+
+    coarse_flat, coarse = error(accuracy=1.0, gradients=False), error(accuracy=1.0)
+    fine = error(accuracy=0.1, gradients=False)
+    assert coarse < 0.8 * coarse_flat
+    assert fine < 0.5 * coarse_flat
+    assert fine < 0.04
+
+
+def test_same_bits_for_any_number_of_threads(monkeypatch):
+    world = World(scenes.cornell(boxes=False))
+    receivers = points_on(world, 10)
+    results = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("ADJOINT_GI_THREADS", threads)
+        results.append(bake(world, receivers, rays=64, accuracy=0.5, light_samples=2).indirect)
+    assert np.array_equal(*results)
+
+
+def test_order_of_records_does_not_matter():
+    rng = np.random.default_rng(2)
+    n = 200
+    position = rng.random((n, 3)).astype(np.float32) * [1, 1, 0]
+    up = np.tile(np.float32([0, 0, 1]), (n, 1))
+    values = rng.random((n, 3)).astype(np.float32)
+    zero = np.zeros((n, 3, 3), np.float32)
+    records = Records(position.astype(np.float32), up, values, np.full(n, 0.5, np.float32), zero, zero)
+    order = rng.permutation(n)
+    shuffled = Records(*(getattr(records, f.name)[order] for f in dataclasses.fields(Records)))
+    query = (rng.random((50, 3)) * [1, 1, 0]).astype(np.float32)
+    a, known = RecordIndex(records, 0.4, 1.5).irradiance(query, up[:50], True)
+    b, _ = RecordIndex(shuffled, 0.4, 1.5).irradiance(query, up[:50], True)
+    assert known.all() and np.allclose(a, b, rtol=1e-5)
+
+
+def test_index_finds_every_record_that_serves():
+    rng = np.random.default_rng(4)
+    n = 300
+    position = (rng.random((n, 3)) * 2 - 1).astype(np.float32)
+    normal = rng.normal(size=(n, 3))
+    normal = (normal / np.linalg.norm(normal, axis=1, keepdims=True)).astype(np.float32)
+    radius = (10 ** rng.uniform(-2, 0.5, n)).astype(np.float32)
+    zero = np.zeros((n, 3, 3), np.float32)
+    index = RecordIndex(Records(position, normal, zero[:, 0], radius, zero, zero), 0.5, 1.01)
+    query, facing = (rng.random((80, 3)) * 2 - 1).astype(np.float32), normal[:80]
+    point, record, _ = index.pairs(query, facing)
+    found = set(zip(point.tolist(), record.tolist(), strict=True))
+    to = query[:, None] - position
+    error = np.linalg.norm(to, axis=2) / radius + np.sqrt(np.maximum(1 - facing @ normal.T, 0))
+    ahead = np.einsum("pra,pra->pr", to, facing[:, None] + normal) < -0.02 * radius
+    expected = {(int(p), int(r)) for p, r in zip(*np.nonzero((error < 0.5 - 1e-5) & ~ahead), strict=True)}
+    assert expected and expected <= found and len(found) == len(set(found))
+
+
+def test_camera_and_path_lengths():
+    world = World(scenes.cornell(12, 12))
+    out = bake(world, CameraReceivers(world, grid=2), rays=64, accuracy=0.5, light_samples=2, max_length=1)
+    assert not out.indirect.any() and out.direct.any() and out.emitted.any()
