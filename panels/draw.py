@@ -56,8 +56,9 @@ def _settings(layout: bpy.types.UILayout, context: bpy.types.Context, which: int
         return
     _form(layout)
     group = getattr(context.scene.adjoint_gi, group_name(solver.spec.id))
+    column = layout.column()
     for name in own_and_common(solver)[which]:
-        layout.prop(group, name)
+        field(column, group, name)
 
 
 def _form(layout: bpy.types.UILayout) -> None:
@@ -65,6 +66,18 @@ def _form(layout: bpy.types.UILayout) -> None:
     layout.use_property_split = True
     layout.use_property_decorate = False
     layout.enabled = not jobs.running()
+
+
+def field(layout: bpy.types.UILayout, data: bpy.types.PropertyGroup, name: str) -> None:
+    """One property with its name on the left. Names of settings are long: they get half of the width, not Blender's two fifths."""
+    item = data.bl_rna.properties[name]
+    switch = item.type == "BOOLEAN"
+    split = layout.split(factor=0.4 if switch else 0.52)
+    left = split.row()
+    left.alignment = "RIGHT"
+    left.label(text="" if switch else item.name)
+    split.use_property_split = False
+    split.prop(data, name, text=item.name if switch else "")
 
 
 def output(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -5,10 +5,16 @@ import bpy
 import numpy as np
 import OpenEXR
 import pytest
+from adjgi import solvers
+from adjgi.adjoint_gi.bridge import demo, properties
 from adjgi.adjoint_gi.bridge.engine_passes import FAR
+from adjgi.adjoint_gi.core import registry
 from adjgi.tests.blender.fakes import camera, fake_method, square
 
 WIDTH, HEIGHT = 40, 30
+solvers.load()
+METHODS = [m.spec.id for m in registry.methods() if "camera" in m.spec.receivers]
+QUICK = {"samples": 4, "particles": 20_000, "max_edge": 0.25, "rays": 1024, "tolerance": 0.01}
 
 
 @pytest.fixture
@@ -144,6 +150,30 @@ def test_errors_are_said(scene, tmp_path, case):
     if case == "method fails":
         state.settings_fake.mode = "fine"
         np.testing.assert_allclose(rendered(scene, tmp_path / "out.exr")["Direct"][15, 20], [1, 2, 3])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_renders_the_cornell_box(registered, tmp_path, method):
+    scene = demo.build_cornell(size=(16, 16))
+    bpy.context.window.scene = scene
+    scene.render.engine = "ADJOINT_GI"
+    state = scene.adjoint_gi
+    state.method = method
+    group = getattr(state, properties.group_name(method))
+    for name, value in QUICK.items():
+        if hasattr(group, name):
+            setattr(group, name, value)
+    got = rendered(scene, tmp_path / "out.exr")
+    for name, values in got.items():
+        assert np.isfinite(values).all(), name
+    np.testing.assert_allclose(got["Combined"][..., :3], got["Emission"] + got["Direct"] + got["Indirect"], rtol=1e-4, atol=1e-5)
+    assert got["Direct"].mean() > 0.05
+    assert got["Albedo"][8, 1, 0] > 3 * got["Albedo"][8, 1, 1]  # the left wall is red
+    assert got["Normal"][8, 1, 0] == pytest.approx(1, abs=1e-3)  # and faces right
+    spec = registry.method(method).spec
+    assert ("Elements" in got) == spec.uses_elements
+    if spec.uses_elements:
+        assert got["Elements"][8, 8].min() > 0
 
 
 def test_compositor_sees_the_passes(scene):

@@ -24,6 +24,8 @@ class Layout:
     def _inner(self, **_):
         return Layout(self.drawn)
 
+    use_property_split = property(lambda self: None, lambda self, on: None)
+
     def separator(self, factor=1.0):
         pass
 
@@ -176,7 +178,7 @@ def test_wrap(sentence, width, lines):
 def test_numbers_as_people_read_them():
     assert [text.duration(s) for s in (0.1234, 9.999, 59.96, 245, 7380)] == ["0.12 s", "10.0 s", "1 min 00 s", "4 min 05 s", "2 h 03 min"]
     assert [text.count(n) for n in (950, 12300, 4_560_000, 1_200_000_000)] == ["950", "12,300", "4.56 million", "1.20 billion"]
-    assert (text.watts(0.012345), text.percent(0.00123)) == ("0.01235 W", "0.12 %")
+    assert (text.watts(0.012345), text.percent(0.00123), text.percent(1e-15)) == ("0.01235 W", "0.12 %", "under 0.0001 %")
 
 
 def test_the_check_looks_again_only_after_a_change(state, monkeypatch):

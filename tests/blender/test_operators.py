@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The operators from end to end with the real bake: demonstration scene, each method and target, show, restore, clear."""
+
+import time
+
+import bpy
+import numpy as np
+import pytest
+from adjgi import solvers
+from adjgi.adjoint_gi.bridge import check, jobs, properties, targets
+from adjgi.adjoint_gi.core import registry
+from adjgi.tests.blender.fakes import fake_method, square
+
+solvers.load()
+METHODS = [m.spec.id for m in registry.methods()]
+QUICK = {"samples": 4, "particles": 20_000, "max_edge": 0.25, "rays": 1024, "tolerance": 0.01}
+
+
+@pytest.fixture
+def scene(registered):
+    assert bpy.ops.adjoint_gi.add_demo_scene() == {"FINISHED"}
+    scene = next(s for s in bpy.data.scenes if s.name.startswith("Cornell"))
+    bpy.context.window.scene = scene
+    for obj in scene.objects:
+        obj.select_set(obj.type == "MESH")
+    scene.adjoint_gi.resolution = 16
+    scene.adjoint_gi.margin = 2
+    yield scene
+    jobs.forget()
+
+
+def choose(scene, method, **values):
+    state = scene.adjoint_gi
+    state.method = method
+    group = getattr(state, properties.group_name(method))
+    for name, value in (QUICK | values).items():
+        if hasattr(group, name):
+            setattr(group, name, value)
+    return state
+
+
+def materials(scene):
+    return {o.name: [(s.link, s.material.name if s.material else "") for s in o.material_slots] for o in scene.objects}
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("target", ["texture", "attribute"])
+def test_bake_show_restore_clear(scene, method, target):
+    state = choose(scene, method)
+    state.target = target
+    before = materials(scene)
+    assert bpy.ops.adjoint_gi.bake() == {"FINISHED"}
+    r = state.result
+    assert (r.method, r.partial, r.applied, r.target) == (method, False, True, target)
+    assert int(r.rays) > 0 and r.seconds > 0 and min(r.mean) > 0
+    assert bpy.ops.adjoint_gi.show_result() == {"FINISHED"}
+    assert materials(scene) != before
+    assert bpy.ops.adjoint_gi.restore() == {"FINISHED"}
+    assert materials(scene) == before
+    assert bpy.ops.adjoint_gi.show_result() == {"FINISHED"}
+    assert bpy.ops.adjoint_gi.clear_results() == {"FINISHED"}
+    assert materials(scene) == before and r.method == ""
+    assert not bpy.ops.adjoint_gi.show_result.poll()
+
+
+def test_camera_picture(scene, tmp_path):
+    state = choose(scene, "path_tracing")
+    scene.render.resolution_x = scene.render.resolution_y = 16
+    state.target = "render"
+    state.folder = str(tmp_path)
+    assert bpy.ops.adjoint_gi.bake() == {"FINISHED"}
+    files = state.result.files.splitlines()
+    assert files and all(name.startswith(str(tmp_path)) for name in files)
+    assert not bpy.ops.adjoint_gi.show_result.poll()
+
+
+@pytest.mark.parametrize(
+    ("break_it", "words"),
+    [
+        (lambda s: setattr(s, "uv_layer", "Nowhere"), "Nowhere"),
+        (lambda s: setattr(s, "folder", bpy.app.binary_path or bpy.__file__), "is a file"),
+        (lambda s: (setattr(s, "target", "attribute"), setattr(s, "attribute", "  ")), "name"),
+        (lambda s: [o.select_set(False) for o in bpy.context.scene.objects], "selected"),
+        (lambda s: setattr(s.settings_path_tracing, "min_length", 100), "min_length"),
+    ],
+)
+def test_refusals_change_nothing(scene, break_it, words):
+    state = choose(scene, "path_tracing")
+    break_it(state)
+    images, layers = len(bpy.data.images), sum(len(m.uv_layers) for m in bpy.data.meshes)
+    assert bpy.ops.adjoint_gi.bake() == {"CANCELLED"}
+    assert any(n.severity == "error" and words in str(n) for n in check.now(bpy.context))
+    assert (len(bpy.data.images), sum(len(m.uv_layers) for m in bpy.data.meshes)) == (images, layers)
+    assert state.result.method == ""
+
+
+def test_check_says_what_is_missing(scene):
+    choose(scene, "path_tracing").uv_layer = "Nowhere"
+    assert bpy.ops.adjoint_gi.check() == {"FINISHED"}
+    assert "Nowhere" in str(check._Cache.notices[0])
+    assert bpy.ops.adjoint_gi.bake.poll()
+
+
+def test_the_background_job_with_the_real_bake(registered, monkeypatch):
+    """The image appears while it runs, a stop labels it as partial, and the end brings the full value."""
+    monkeypatch.setattr(jobs.preferences, "refresh_seconds", lambda: 0.2)
+    with fake_method(registered):
+        obj = square()
+        state = bpy.context.scene.adjoint_gi
+        state.resolution, state.uv_layer = 8, "UVMap"
+        state.settings_fake.steps, state.settings_fake.pause = 150, 0.02
+        job = jobs.start(bpy.context, properties.request_of(bpy.context.scene))
+        end = time.monotonic() + 20
+        while targets.link(obj, "irradiance") is None and time.monotonic() < end:
+            jobs.tick()
+            time.sleep(0.05)
+        assert job.active
+        image = targets.link(obj, "irradiance")["image"]
+        assert '"partial": "yes"' in image["adjoint_gi_about"]
+        jobs.stop()
+        assert job.state == "stopped" and state.result.partial
+        jobs.resume()
+        while job.active and time.monotonic() < end:
+            jobs.tick()
+            time.sleep(0.05)
+        assert (job.state, job.notices) == ("finished", [])
+        assert targets.link(obj, "irradiance")["image"] == image
+        pixels = np.empty(8 * 8 * 4, np.float32)
+        image.pixels.foreach_get(pixels)
+        np.testing.assert_allclose(pixels.reshape(8, 8, 4)[4, 4, :3], [3, 6, 9])
+        assert '"partial": "no"' in image["adjoint_gi_about"]
+        jobs.forget()
