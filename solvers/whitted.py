@@ -95,6 +95,7 @@ class Whitted(Solver):
             "No diffuse interreflection: it is one constant, the ambient radiance",
             "No caustics: light that reaches a diffuse surface over mirrors or through glass is not found; glass casts full shadows",
             "Rough lobes reflect lights only, or are taken as mirrors, or refused, by setting",
+            "Fresnel's equations for unpolarised light at every surface: a pane passes up to 4 percent too little at grazing angles",
             "Soft shadows are as many hard ones as there are light points",
             "Light of the world is seen in mirrors and through glass, and arrives on other surfaces only through the ambient radiance",
         ),
