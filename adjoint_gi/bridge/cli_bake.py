@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
+import tempfile
 from pathlib import Path
 
 import bpy
@@ -142,11 +144,15 @@ def save_blend(path: Path) -> str:
         bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, check_existing=False)
     except RuntimeError as error:
         raise WriteError(str(path), f"could not be written ({str(error).strip()})", "Choose another folder") from None
-    with bpy.data.libraries.load(str(path)) as (inside, _):
-        for have, all_of_kind in ((inside.images, bpy.data.images), (inside.meshes, bpy.data.meshes)):
-            missing = {block.name for block in all_of_kind if ABOUT in block} - set(have)
-            if missing:
-                raise WriteError(str(path), f"does not hold {', '.join(sorted(missing))}", "Check the disk and try again")
+    # A copy is looked into, because Blender does not look into the file that is open.
+    with tempfile.TemporaryDirectory(prefix="adjoint_gi_") as folder:
+        copy = shutil.copyfile(path, Path(folder) / "copy.blend")
+        with bpy.data.libraries.load(str(copy)) as (inside, _):
+            have = {"images": set(inside.images), "meshes": set(inside.meshes)}
+    for kind, names in have.items():
+        missing = {block.name for block in getattr(bpy.data, kind) if ABOUT in block} - names
+        if missing:
+            raise WriteError(str(path), f"does not hold {', '.join(sorted(missing))}", "Check the disk and try again")
     return str(path)
 
 
