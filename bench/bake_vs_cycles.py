@@ -191,20 +191,21 @@ def compare(light: str, options) -> dict:
     out = {"light": light, "reference_error": noise, "mean_ratio": ratio, "texels": int(whole.sum())}
     out["distance"] = error(ours_converged, reference)
 
-    start = {}
-    for name, bake in (("cycles", lambda n, s: bake_cycles(image, n, s)), ("ours", lambda n, s: bake_ours(options.resolution, n, s))):
+    # Turn and turn about, so that whatever else the machine does meets both.
+    bakers = {"cycles": lambda n, s: bake_cycles(image, n, s), "ours": lambda n, s: bake_ours(options.resolution, n, s)}
+    for bake in bakers.values():
         bake(1, 0)
-        start[name] = min(bake(1, 0)[1] for _ in range(3))
-        points = []
-        for samples in options.samples:
-            runs = [bake(samples, seed) for seed in range(options.repeat)]
-            seconds = min(r[1] for r in runs)
-            measured = float(np.sqrt(np.mean([error(r[0], reference) ** 2 for r in runs])))
+    start = {name: min(bake(1, 0)[1] for _ in range(3)) for name, bake in bakers.items()}
+    out.update({name: [] for name in bakers})
+    for samples in options.samples:
+        runs = [{name: bake(samples, seed) for name, bake in bakers.items()} for seed in range(options.repeat)]
+        for name in bakers:
+            seconds = min(r[name][1] for r in runs)
+            measured = float(np.sqrt(np.mean([error(r[name][0], reference) ** 2 for r in runs])))
             # The reference has noise of its own, independent of these.
             true = math.sqrt(max(measured**2 - noise**2, 1e-12))
-            points.append({"samples": samples, "seconds": seconds, "solve": max(seconds - start[name], 1e-4), "error": true})
+            out[name].append({"samples": samples, "seconds": seconds, "solve": max(seconds - start[name], 1e-4), "error": true})
             print(f"{light:5s} {name:7s} {samples:5d} samples {seconds:7.2f} s  error {100 * true:6.2f} %", flush=True)
-        out[name] = points
     low = max(min(p["error"] for p in out[k]) for k in ("cycles", "ours"))
     high = min(max(p["error"] for p in out[k]) for k in ("cycles", "ours"))
     out["start"] = start
