@@ -12,7 +12,9 @@ MODULES: tuple[str, ...] = (
     "path_tracing",
     "particle_tracing",
     "matrix_radiosity",
+    "directional_radiosity",
     "progressive_radiosity",
+    "spherical_harmonics",
 )
 
 

@@ -1,0 +1,218 @@
+"""Direction bins, scattering between them, and the transport over element sides and bins."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core import bsdf
+from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.directional_rays import DirectionalRays
+from adjgi.adjoint_gi.core.directional_transport import DirectionalTransport
+from adjgi.adjoint_gi.core.directions import Bins, frames
+from adjgi.adjoint_gi.core.elements import Elements
+from adjgi.adjoint_gi.core.scatter_pairs import pairs
+from adjgi.adjoint_gi.core.scattering import Scattering
+from adjgi.adjoint_gi.core.scene import Color, Lobe, Material
+from adjgi.adjoint_gi.core.schemes import jacobi
+from adjgi.adjoint_gi.core.transports import MatrixTransport
+from adjgi.adjoint_gi.core.world import World
+from adjgi.tests import scenes
+
+SIZES = [(1, 1), (1, 4), (2, 3), (4, 8)]
+WALLS = Material("Wall", (Lobe("diffuse", Color.of(0.3, 0.5, 0.1)), Lobe("glossy", Color.of(0.4, 0.3, 0.6), 0.5)))
+COATED = Material("Coated", (Lobe("diffuse", Color.of(0.6)), Lobe("specular", Color.of(1.0), 0.3, 1.5)))
+METAL = Material("Metal", (Lobe("metallic", Color.of(0.9, 0.6, 0.3), 0.4),))
+MIRROR = Material("Mirror", (Lobe("glossy", Color.of(0.8), 0.0),))
+GLASS = Material("Glass", (Lobe("glass", Color.of(0.9), 0.3, 1.5),))
+CLEAR = Material("Clear", (Lobe("refraction", Color.of(0.9), 0.0, 1.5), Lobe("transparent", Color.of(0.05))))
+
+
+def table():
+    return bsdf.BsdfTable(World(SceneBuilder().build()).scene)
+
+
+def transport_of(materials, rows=2, columns=4, edge=10.0, rays=4, block=None):
+    b = SceneBuilder()
+    b.box("Room", (0, 0, 0), (4, 4, 3), materials, inward=True)
+    if block is not None:
+        b.box("Block", (1.25, 1.0, 0.5), (2.0, 2.5, 1.5), block, inward=False)
+    elements = Elements(World(b.build()), edge)
+    bins = Bins(rows, columns)
+    scattering = Scattering(elements, bsdf.BsdfTable(elements.world.scene), bins, 1 << 13)
+    t = DirectionalTransport(DirectionalRays(elements), bins, scattering, rays)
+    for _ in t.cast():
+        pass
+    return t
+
+
+def inner_sides(t):
+    """Sides of a closed room that see it."""
+    return np.arange(t.count) % 2 == 0
+
+
+def ones(t):
+    return np.ones((t.count, t.bins.size, 3))
+
+
+# ---- bins
+
+
+@pytest.mark.parametrize(("rows", "columns"), SIZES)
+def test_bins_have_equal_projected_solid_angle_and_find_their_directions(rows, columns):
+    bins = Bins(rows, columns)
+    rng = np.random.default_rng(0)
+    index = np.repeat(np.arange(bins.size), 50)
+    w = bins.directions(index, *rng.uniform(0.01, 0.99, (2, len(index))))
+    assert np.allclose(np.linalg.norm(w, axis=1), 1, atol=1e-6)
+    assert (bins.of(w) == index).all()
+    # A cosine-weighted set falls into all bins alike.
+    u = np.arange(200_000)[:, None] * np.array([0.7548776662, 0.5698402910]) % 1
+    r, phi = np.sqrt(u[:, 0]), 2 * np.pi * u[:, 1]
+    w = np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(1 - u[:, 0])], axis=1)
+    share = np.bincount(bins.of(w), minlength=bins.size) / len(w)
+    assert np.allclose(share, 1 / bins.size, atol=1e-4)
+
+
+def test_interpolation_between_bins_keeps_constants_and_middles():
+    bins = Bins(4, 8)
+    rng = np.random.default_rng(0)
+    w = bins.directions(rng.integers(0, 32, 500), *rng.random((2, 500)))
+    index, weight = bins.basis(w)
+    assert np.allclose(weight.sum(axis=1), 1, atol=1e-12) and weight.min() >= 0
+    middle = bins.directions(np.arange(32), np.full(32, 0.5), np.full(32, 0.5))
+    index, weight = bins.basis(middle)
+    own = (weight * (index == np.arange(32)[:, None])).sum(axis=1)
+    assert np.allclose(own, 1, atol=1e-4)
+
+
+def test_frames_of_both_sides_share_their_tangents():
+    n = np.random.default_rng(1).normal(size=(50, 3))
+    n /= np.linalg.norm(n, axis=1)[:, None]
+    n[0], n[1] = (0, 0, 1), (0, 0, -1)
+    f = frames(n)
+    assert np.abs(np.einsum("nij,nkj->nik", f, f) - np.eye(3)).max() < 1e-6
+    assert np.allclose(f[0::2, :2], f[1::2, :2]) and np.allclose(f[0::2, 2], -f[1::2, 2])
+    assert np.allclose(f[0::2, 2], n, atol=1e-7)
+
+
+# ---- scattering
+
+
+@pytest.mark.parametrize(("rows", "columns"), SIZES)
+@pytest.mark.parametrize(
+    ("kind", "alpha"), [(bsdf.GLOSSY, 0.0), (bsdf.GLOSSY, 0.2), (bsdf.SPECULAR, 0.1), (bsdf.GLASS, 0.2), (bsdf.REFRACTION, 0.0)]
+)
+def test_scattering_is_reciprocal_and_keeps_energy(rows, columns, kind, alpha):
+    bins = Bins(rows, columns)
+    front, back = (pairs(kind, alpha, 1.5, side, table(), 1 << 13) for side in (True, False))
+    measure = np.array([1.0, 2.25 if kind in (bsdf.GLASS, bsdf.REFRACTION) else 1.0])
+    same, other = bins.kernels((front, back), measure)
+    assert same.min() >= 0
+    for side in (0, 1):
+        assert np.abs(same[side] - same[side].T).max() < 1e-12
+    out = same.sum(axis=2)
+    if other is not None:
+        # Radiance over the square of the index: the flux that passes is symmetric.
+        assert np.abs(measure[0] * other[0] - measure[1] * other[1].T).max() < 1e-12
+        out = out + other.sum(axis=2)
+    # The albedo of the lobe seen from every row of bins is what was counted.
+    for side, p in enumerate((front, back)):
+        row = bins.of(p.given) // columns
+        counted = np.bincount(row, p.weight, rows) / np.bincount(row, minlength=rows)
+        # What passes is counted from both sides, and the two counts differ by their noise.
+        assert np.allclose(out[side].reshape(rows, columns), counted[:, None], rtol=1e-9 if other is None else 2e-3)
+        # Nor is more sent on than arrives in a bin: sums over what leaves, by flux.
+        sent = same[side].sum(axis=0)
+        if other is not None:
+            sent = sent + measure[1 - side] / measure[side] * other[1 - side].sum(axis=0)
+        assert sent.max() <= 1 + (1e-5 if other is None else 2e-3)
+
+
+def test_a_mirror_maps_bins_to_the_mirrored_bin():
+    bins = Bins(3, 8)
+    p = pairs(bsdf.GLOSSY, 0.0, 1.5, True, table(), 1 << 13)
+    same, _ = bins.kernels((p, p), np.ones(2))
+    bin = np.arange(bins.size)
+    mirrored = bin // 8 * 8 + (bin % 8 + 4) % 8
+    assert np.allclose(same[0][bin, mirrored], 1, atol=1e-6)
+    assert same[0].sum() == pytest.approx(bins.size, rel=1e-6)
+
+
+def test_light_that_passes_a_transparent_sheet_goes_straight():
+    bins = Bins(2, 6)
+    p = pairs(bsdf.TRANSPARENT, 1.0, 1.0, True, table(), 1 << 12)
+    same, other = bins.kernels((p, p), np.ones(2))
+    bin = np.arange(bins.size)
+    opposite = bin // 6 * 6 + (bin % 6 + 3) % 6
+    assert not same.any()
+    assert np.allclose(other[:, bin, opposite], 1, atol=1e-6)
+
+
+# ---- transport
+
+
+@pytest.mark.parametrize("material", [WALLS, COATED, METAL, MIRROR, GLASS, CLEAR], ids=lambda m: m.name)
+def test_apply_and_adjoint_are_dual(material):
+    t = transport_of(WALLS, block=material, edge=1.5)
+    x, y = np.random.default_rng(1).normal(size=(2, t.count, t.bins.size, 3))
+    size = np.sqrt(t.inner(x, x) * t.inner(y, y))
+    assert abs(t.inner(t.apply(x), y) - t.inner(x, t.adjoint(y))) <= 1e-12 * size
+
+
+@pytest.mark.parametrize(("rows", "columns"), SIZES)
+def test_eight_kirchhoff_cavity(rows, columns):
+    """T8: walls that emit what they absorb, 1 - a by bins, hold L = 1 everywhere, to rounding."""
+    faces = [WALLS, MIRROR, COATED, METAL, WALLS, COATED]
+    t = transport_of(faces, rows, columns, block=METAL, edge=2.0)
+    inside = t.sky().max(axis=1) == 0
+    emitted = (1 - t.scattering.apply(ones(t))) * inside[:, None, None]
+    assert emitted.min() >= -1e-12
+    arriving = np.zeros_like(emitted)
+    # Gathering.
+    solution = np.zeros_like(emitted)
+    for _ in t.gauss_seidel(solution, emitted, arriving, 1e-15, 5000):
+        pass
+    assert np.abs(solution[inside] - 1).max() < 1e-12
+    assert np.abs((emitted + t.scattering.apply(solution))[inside] - 1).max() < 1e-12
+    # Shooting.
+    shot = np.zeros_like(emitted)
+    for _ in t.southwell(shot, emitted, arriving, 1e-14, 100_000):
+        pass
+    assert np.abs(shot[inside] - 1).max() < 1e-11
+
+
+def test_diffuse_walls_equal_the_full_matrix_of_the_same_rays():
+    mats = [diffuse(f"F{i}", r, e) for i, (r, e) in enumerate([(0.3, 1.0), (0.5, 0), (0.6, 0), (0.14, 0), (0.2, 0.3), (0.7, 0)])]
+    t = transport_of(mats, 3, 5, edge=2.0, rays=3, block=diffuse("Block", 0.4))
+    # F_ij: the share of the rays of a side that meet another.
+    per = t.bins.size * t.rays
+    side = np.repeat(np.arange(t.count), per)
+    hit = t.met >= 0
+    factors = np.bincount(side[hit] * t.count + t.met[hit] // t.bins.size, minlength=t.count**2).reshape(t.count, t.count) / per
+    e = t.caster.elements
+    rho, emitted = np.repeat(e.albedo, 2, axis=0), np.repeat(e.emitted, 2, axis=0)
+    *_, want = jacobi(MatrixTransport(t.area, rho, factors), emitted, 0 * emitted, 1e-16, 3000)
+    leaving = emitted[:, None] / np.pi * np.ones((1, t.bins.size, 1))
+    for scheme in (t.gauss_seidel, t.southwell):
+        got = np.zeros_like(leaving)
+        for _ in scheme(got, leaving, 0 * leaving, 1e-15, 100_000):
+            pass
+        assert np.abs(np.pi * got.mean(axis=1) - want.irradiance).max() < 1e-10
+
+
+def test_rays_of_a_room_all_arrive_on_its_inside():
+    t = transport_of(diffuse("Grey", 0.5))
+    inside = inner_sides(t)
+    met = t.met.reshape(t.count, -1)[inside]
+    assert met.min() >= 0
+    assert (met // t.bins.size % 2 == 0).all()
+    assert t.sky()[~inside].min() == 1
+
+
+def test_means_of_the_shared_scene_helpers_are_two_sided():
+    """The Cornell box scatters on both sides of its faces alike."""
+    elements = Elements(World(scenes.cornell(8, 8)), 0.5)
+    s = Scattering(elements, bsdf.BsdfTable(elements.world.scene), Bins(2, 4), 64)
+    assert not s.shiny.any()
+    out = s.apply(np.ones((2 * elements.count, 8, 3)))
+    assert np.allclose(out, np.repeat(elements.albedo, 2, axis=0)[:, None], atol=1e-12)
