@@ -99,31 +99,27 @@ class PathTracing(Solver):
         state = _State(self.spec.id, world, receivers, settings, film, surfaces, clock)
         state.warnings = world.scene.warnings + world.shading.substitutions(self.spec.lobes)
 
-        # Step 1: what the receivers are made of. Camera samples find that out by themselves.
-        if receivers.measure == "irradiance":
-            for done in read_surfaces(world, receivers, surfaces):
-                if clock.due():
-                    yield from clock.pause(Step(0.0, f"Reading surfaces, {done:.0%}", state.solution))
-
-        # Step 2: passes over all receivers, in batches that run in any order of time but are added up in their own.
+        # Step 1: passes over all receivers, in batches that run in any order of time but are added up in their own. What the receivers
+        # are made of is read in between, so that light shows at once; camera samples find that out by themselves.
+        reading = read_surfaces(world, receivers, surfaces)
         total = receivers.count * settings.samples
         paths = 0
         with closing(in_order(lambda item: tracer.batch(*item), batches(receivers.count, settings.samples))) as results:
             for batch in results:
                 state.add(batch)
                 paths += batch.samples * (batch.last - batch.first)
+                if receivers.measure == "irradiance":
+                    next(reading, None)
                 if batch.last == receivers.count:
                     state.measure()
                 if clock.due() and paths < total:
-                    yield from clock.pause(
-                        Step(paths / total, f"{paths / receivers.count:.0f} of {settings.samples} samples", state.solution)
-                    )
+                    text = f"{paths / receivers.count:.0f} of {settings.samples} samples"
+                    yield from clock.pause(Step(paths / total, text, state.solution))
 
-        # Step 3: passes that only a finished picture gets.
-        if receivers.kind == "camera":
-            for done in read_surfaces(world, receivers, surfaces):
-                if clock.due():
-                    yield from clock.pause(Step(1.0, f"Reading surfaces, {done:.0%}", state.solution))
+        # Step 2: the rest of it, and for a camera the passes that only a finished picture gets.
+        for done in reading:
+            if clock.due():
+                yield from clock.pause(Step(1.0, f"Reading surfaces, {done:.0%}", state.solution))
         state.partial = False
         yield Step(1.0, f"{settings.samples} samples", state.solution)
 
@@ -207,7 +203,7 @@ class _State:
             self.history.append((self.clock.seconds, error))
 
     def solution(self) -> Solution:
-        """A copy of the result as it stands."""
+        """A copy of the result as it stands; reflectance and own emission of surfaces are 0 until they have been read."""
         film, surfaces, n = self.film, self.surfaces, self.receivers.count
         weight = (film.count > 0).astype(np.float32)
         extra = {}
