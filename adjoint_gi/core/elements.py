@@ -5,7 +5,7 @@ Surfaces are two-sided, as in Cycles, so the unknowns of the element methods are
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cached_property
 
 import numpy as np
@@ -147,32 +147,34 @@ class Elements:
         self.i = np.where(quad, local % k, rest // 2).astype(np.int32)
         self.upper = ~quad & (rest % 2 == 1)
         self.is_quad = quad
+        self.columns, self.rows = n[self.patch].astype(np.int32), m[self.patch].astype(np.int32)
         self.area = (self.patch_area / per)[self.patch]
         # One row a triangle for `locate`: the map to (s, t), the grid and the first element.
         p = self.patch_of
         self._grid = np.stack([n[p], m[p], self.first[p], self.quad[p]], axis=1) if len(p) else np.zeros((0, 4), np.int64)
+        self._finish()
+
+    def _finish(self) -> None:
+        """What follows from the cells: normals, centroids and colours."""
         cross = np.cross(self.edge_s, self.edge_t)
         unit = cross / np.maximum(np.linalg.norm(cross, axis=1), 1e-300)[:, None]
         self.normal = unit[self.patch]
-        middle = np.where(quad, 0.5, 1 / 3)
+        middle = np.where(self.is_quad, 0.5, 1 / 3)
         self.centroid = self.position(np.arange(self.count), middle, middle)
-        self._colors()
+        shading = self.world.shading
+        self.albedo = self.mean(shading.albedo, shading.albedo_varies)
+        self.emitted = np.pi * self.mean(shading.emission, shading.emission_varies)
 
-    def _colors(self) -> None:
-        """Mean albedo and emission; several points an element where a colour varies."""
-        world = self.world
-        self.albedo = np.zeros((self.count, 3))
-        self.emitted = np.zeros((self.count, 3))
-        steps = (np.arange(COLOR_GRID) + 0.5) / COLOR_GRID if world.shading.textured else np.array([0.25])
+    def mean(self, field: Callable, varies: bool) -> np.ndarray:
+        """(count, 3) float64 mean of `field(triangle, u, v)`, (n, 3), over each element: of several points where it `varies` inside."""
+        out = np.zeros((self.count, 3))
+        steps = (np.arange(COLOR_GRID) + 0.5) / COLOR_GRID if varies else np.array([0.25])
         for a in range(0, self.count, CHUNK):
             index = np.arange(a, min(a + CHUNK, self.count))
             for x in steps:
                 for y in steps:
-                    at = self.point(index, np.full(len(index), x), np.full(len(index), y))
-                    self.albedo[index] += world.shading.albedo(*at)
-                    self.emitted[index] += np.pi * world.shading.emission(*at)
-        self.albedo /= len(steps) ** 2
-        self.emitted /= len(steps) ** 2
+                    out[index] += field(*self.point(index, np.full(len(index), x), np.full(len(index), y)))
+        return out / len(steps) ** 2
 
     def _st(self, element: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Patch coordinates of local coordinates a, b in 0..1; a triangle folds the half beyond its long edge back."""
@@ -180,8 +182,7 @@ class Elements:
         a, b = np.where(fold, 1 - a, a), np.where(fold, 1 - b, b)
         upper = self.upper[element]
         a, b = np.where(upper, 1 - a, a), np.where(upper, 1 - b, b)
-        p = self.patch[element]
-        return (self.i[element] + a) / self.n[p], (self.j[element] + b) / self.m[p]
+        return (self.i[element] + a) / self.columns[element], (self.j[element] + b) / self.rows[element]
 
     def position(self, element: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """(n, 3) float64 positions at local coordinates a, b in 0..1, uniform in area."""
@@ -195,7 +196,7 @@ class Elements:
         quad, upper = self.is_quad[element], self.upper[element]
         i = np.stack([upper, ~upper, np.where(quad, 1, upper), np.where(quad, 0, upper)], axis=1) + self.i[element][:, None]
         j = np.stack([upper, upper, np.where(quad, 1, ~upper), np.where(quad, 1, ~upper)], axis=1) + self.j[element][:, None]
-        s, t = (i / self.n[p][:, None])[..., None], (j / self.m[p][:, None])[..., None]
+        s, t = (i / self.columns[element, None])[..., None], (j / self.rows[element, None])[..., None]
         return self.origin[p][:, None] + s * self.edge_s[p][:, None] + t * self.edge_t[p][:, None]
 
     def point(self, element: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
