@@ -81,6 +81,27 @@ def test_direct_light(kind, sampling, joined):
         agrees(values, expected, bias=1e-5 * expected)
 
 
+@pytest.mark.parametrize("split_depth", [0, 1])
+def test_light_rays_alone_leave_the_world_to_brdf_rays(split_depth):
+    b, point, expected = above_floor("world")
+    world = World(b.build())
+    found = solve(world, receivers_at(world, [point], copies=9), joined=False, split_depth=split_depth)
+    np.testing.assert_allclose(found.direct, expected, rtol=2e-4)
+
+
+@pytest.mark.parametrize("split_depth", [0, 1])
+@pytest.mark.parametrize("joined", [True, False])
+def test_a_mirror_in_the_coat_does_not_count_lamps_twice(split_depth, joined):
+    """Diffuse light of a large lamp, whose image lies elsewhere."""
+    b = SceneBuilder()
+    mixed = Material("Mixed", (Lobe("diffuse", Color.of(0.5)), Lobe("glossy", Color.of(0.4), 0.0)))
+    b.quad("Floor", (-4, -4, 0), (8, 0, 0), (0, 8, 0), mixed)
+    b.light(Light("Lamp", "area", (2, 2, 2), (0, 0, 1), **AXES, size_x=1, size_y=1))
+    world, camera = view(b, (-0.8, 0, 0.8), (1, 0, -1), 1e-3, 20)
+    found = solve(world, camera, samples=16, joined=joined, split_depth=split_depth).quantity("radiance")[:, 0]
+    agrees(found, 0.5 * 2 * 0.23945647046077354)
+
+
 @pytest.mark.parametrize("sampling", ["jittered", "sobol"])
 @pytest.mark.parametrize("samples", [9, 16])
 def test_even_numbers_have_no_more_variance(sampling, samples):
