@@ -5,8 +5,12 @@ Le, normalised by its total E, and following each sample by the probabilities of
 
     Phi = E / n  sum_i [ g(x_i0) + sum_k g(x_ik) ]                                                                    (15)
 
-Here g is one element side at a time: all are estimated by the same walks. A particle that arrives adds its power to the side's; power
-over area is irradiance. Between elements the answer is interpolated, so shadows are as sharp as the elements are small.
+Here g is one element side at a time, or the surroundings of one receiver: all are estimated by the same walks. A particle that arrives
+adds its power to the place's; power over area is irradiance. A surface scatters a particle by any of its lobes, so light that mirrors
+and glass throw on other surfaces (caustics) is found; absorption is the event that ends a walk, and escape the other one.
+
+Between elements the answer is interpolated, so shadows are as sharp as the elements are small; receivers that count for themselves
+see them blurred over a kernel (`core.particle_density`). What is counted is irradiance: a camera sees glossy surfaces as diffuse.
 
 S. N. Pattanaik and S. P. Mudur, "Computation of Global Illumination by Monte Carlo Simulation of the Particle Model of Light",
 Eurographics Workshop on Rendering, 1992, 71-83.
@@ -14,7 +18,6 @@ Eurographics Workshop on Rendering, 1992, 71-83.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -22,17 +25,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..adjoint_gi.core import settings as base
-from ..adjoint_gi.core.answer import ElementAnswer, elements_for
-from ..adjoint_gi.core.elements import Elements
+from ..adjoint_gi.core.answer import elements_for
+from ..adjoint_gi.core.bsdf import ALL_LOBES, KINDS, BsdfTable
 from ..adjoint_gi.core.emission import Emission
 from ..adjoint_gi.core.errors import Notice
+from ..adjoint_gi.core.gathering import Clock
 from ..adjoint_gi.core.parallel import in_order, thread_count
-from ..adjoint_gi.core.receivers import Receivers
+from ..adjoint_gi.core.particle_score import Batch, ElementScore, ReceiverScore, Tally
+from ..adjoint_gi.core.receivers import Receivers, SurfaceReceivers
 from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
 from ..adjoint_gi.core.settings import setting
-from ..adjoint_gi.core.solution import EnergyBalance, Solution, Step
-from ..adjoint_gi.core.walks import Ends, walk
-from ..adjoint_gi.core.world import Surface, World
+from ..adjoint_gi.core.solution import Solution, Step
+from ..adjoint_gi.core.walks import Hits, walk
+from ..adjoint_gi.core.world import World
 
 SMALLEST, LARGEST = 1 << 10, 1 << 15  # particles in a batch
 BATCHES = 32  # at least, where batches do not become too small: the standard error is estimated from their differences
@@ -61,17 +66,23 @@ class ParticleSettings(base.Settings):
         max=1e6,
         unit="distance",
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Batch:
-    """What one batch of particles brought: power on element sides (2 ne, 3) float64 in W, power shot by each light (k, 3), ends."""
-
-    count: int
-    direct: np.ndarray
-    indirect: np.ndarray
-    lights: np.ndarray
-    ends: Ends
+    score: str = setting(
+        "elements",
+        label="Count Particles",
+        help="Where particles are counted",
+        choices=(
+            ("elements", "On Elements", "On elements of the surfaces, with the answer interpolated between them"),
+            ("receivers", "At Receivers", "Around every texel or vertex, by density over area; a camera takes elements"),
+        ),
+    )
+    radius: float = setting(
+        0.0,
+        label="Radius",
+        help="Within which particles count for a receiver, when they are counted at receivers; 0 chooses it by their number",
+        min=0.0,
+        max=1e6,
+        unit="distance",
+    )
 
 
 @register
@@ -91,17 +102,20 @@ class ParticleTracing(Solver):
         section="8",
         idea="Particles of equal power leave the lights, are absorbed or reflected at random, and are counted where they arrive.",
         limits=(
-            "Diffuse surfaces only: other lobes are taken as diffuse",
-            "Shadows are as sharp as the elements are small",
+            "What is found is irradiance: to a camera, glossy and mirror surfaces reflect it as diffuse ones would",
+            "Shadows and caustics are as sharp as the elements are small, or as the radius at receivers",
             "Noise is highest where few particles arrive, such as small and dark corners",
         ),
-        lobes=frozenset({"diffuse", "emission"}),
+        lobes=ALL_LOBES | {"emission"},
         uses_elements=True,
     )
     Settings = ParticleSettings
 
     def memory(self, world: World, receivers: Receivers, settings: ParticleSettings) -> int:
         """Elements, their sums in float64, the batches under way and the receivers' points."""
+        if at_receivers(receivers, settings):
+            points = len(receivers.triangle)
+            return points * (250 + (2 * 7 + 2 * thread_count() * 2 * 7) * 8) + (1 << 20) * 100 * thread_count()
         own = getattr(receivers, "elements", None)
         if own is not None:
             count = own.count
@@ -114,20 +128,30 @@ class ParticleTracing(Solver):
 
     def solve(self, world: World, receivers: Receivers, settings: ParticleSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every batch; the fraction is particles done."""
-        clock = _Clock()
+        clock = Clock()
         emission = Emission(world)
-        elements = elements_for(world, receivers, settings.max_edge, automatic(settings.particles))
-        answer = ElementAnswer(elements, receivers, None, settings.min_length, settings.max_length)
-        tally = _Tally(elements, emission, settings)
-        warnings = world.scene.warnings + world.shading.substitutions(self.spec.lobes) + notices(world, emission)
+        table = BsdfTable(world.scene)
+        table = None if table.only_diffuse else table
+        if at_receivers(receivers, settings):
+            score = ReceiverScore(world, receivers, settings, settings.particles, settings.radius)
+        else:
+            score = ElementScore(elements_for(world, receivers, settings.max_edge, automatic(settings.particles)), receivers, settings)
+        tally = Tally(score.count, len(emission.names))
+        warnings = world.scene.warnings + notices(world, emission) + camera_notices(world, receivers, settings)
 
         def solution(partial: bool = True) -> Solution:
-            parts = answer.parts(tally.irradiance(tally.direct), tally.irradiance(tally.indirect))
+            direct, indirect = tally.per_particle(tally.direct), tally.per_particle(tally.indirect)
+            arrays, rays = score.arrays(direct, indirect, tally.area)
+            arrays["extra"] = {
+                **arrays["extra"],
+                "light_flux": tally.per_particle(tally.lights).astype(np.float32),
+                "light_names": np.array(emission.names, np.str_),
+            }
             return Solution(
                 self.spec.id,
                 receivers.measure,
-                **{**parts.arrays(), "extra": {**parts.extra, "light_flux": tally.per_particle(tally.lights).astype(np.float32)}},
-                rays=tally.ends.rays + parts.rays,
+                **arrays,
+                rays=tally.ends.rays + rays,
                 seconds=clock.seconds,
                 balance=tally.balance(),
                 history=tuple(tally.history),
@@ -136,17 +160,17 @@ class ParticleTracing(Solver):
                 partial=partial,
             )
 
-        # Step 1: where the receivers lie on the elements.
-        for share in answer.prepare():
+        # Step 1: where the receivers lie on the elements, or what they are made of.
+        for share in score.prepare():
             yield from clock.pause(Step(0.0, f"Finding receivers, {share:.0%}", solution))
 
         # Step 2: batches of particles, each with random numbers of its own.
-        sizes = batch_sizes(0 if emission.is_dark else settings.particles, 2 * elements.count)
+        sizes = batch_sizes(0 if emission.is_dark else settings.particles, score.count)
         seeds = rng.integers(0, 1 << 63, 4).tolist()
 
-        def shoot(index: int) -> _Batch:
+        def shoot(index: int) -> Batch:
             generator = np.random.Generator(np.random.SFC64([*seeds, index]))
-            return shoot_batch(world, elements, emission, sizes[index], settings, generator)
+            return shoot_batch(world, score, emission, table, sizes[index], settings, generator)
 
         with closing(in_order(shoot, range(len(sizes)))) as batches:
             for batch in batches:
@@ -158,100 +182,27 @@ class ParticleTracing(Solver):
         yield Step(1.0, f"{tally.count:,} particles", lambda: solution(False))
 
 
-class _Clock:
-    """Seconds of work, without the time in which nobody asked for the next step."""
-
-    def __init__(self) -> None:
-        self._began = time.perf_counter()
-
-    @property
-    def seconds(self) -> float:
-        """Worked so far."""
-        return time.perf_counter() - self._began
-
-    def pause(self, step: Step) -> Iterator[Step]:
-        """Yield `step` and leave out the time until the generator is continued."""
-        left = time.perf_counter()
-        yield step
-        self._began += time.perf_counter() - left
-
-
-class _Tally:
-    """Sums over batches."""
-
-    def __init__(self, elements: Elements, emission: Emission, settings: ParticleSettings) -> None:
-        sides = 2 * elements.count
-        self.area = np.repeat(elements.area, 2)
-        self.count = 0
-        self.batches = 0
-        self.direct, self.indirect = np.zeros((sides, 3)), np.zeros((sides, 3))
-        self.squares = np.zeros(sides)  # of the power that each batch brought, colours summed
-        self.lights = np.zeros((len(emission.names), 3))
-        self.ends = Ends()
-        self.history: list[tuple[float, float]] = []
-
-    def add(self, batch: _Batch) -> None:
-        """A batch weighs as much as it has particles."""
-        self.count += batch.count
-        self.batches += 1
-        for mine, other in ((self.direct, batch.direct), (self.indirect, batch.indirect), (self.lights, batch.lights)):
-            mine += batch.count * other
-        self.squares += (batch.count * (batch.direct + batch.indirect).sum(axis=1)) ** 2
-        self.ends.add(batch.ends, batch.count)
-
-    def per_particle(self, sums: np.ndarray) -> np.ndarray:
-        """Mean over all particles so far."""
-        return sums / max(1, self.count)
-
-    def irradiance(self, sums: np.ndarray) -> np.ndarray:
-        """(2 ne, 3) float64, W m-2."""
-        return self.per_particle(sums) / np.maximum(self.area, 1e-300)[:, None]
-
-    def relative_error(self) -> float:
-        """Relative standard error of the elements' irradiance, root mean square by area, from the spread of the batches."""
-        if self.batches < 2:
-            return float("inf")
-        total = (self.direct + self.indirect).sum(axis=1)
-        weight = 1 / np.maximum(self.area, 1e-300)
-        spread = np.maximum(self.squares - total**2 / self.batches, 0) * (self.batches / (self.batches - 1))
-        power = weight @ total**2
-        return float(np.sqrt((weight @ spread) / power)) if power > 0 else 0.0
-
-    def balance(self) -> EnergyBalance:
-        """Where the power went. With smooth shading the gap is what bent normals added, see `Ends`."""
-        e, n = self.ends, max(1, self.count)
-        energies = (e.emitted_energy, e.absorbed_energy, e.escaped_energy, e.cut_energy)
-        return EnergyBalance(*(x / n for x in energies), (e.emitted, e.absorbed, e.escaped, e.cut))
-
-
 def shoot_batch(
-    world: World, elements: Elements, emission: Emission, count: int, settings: ParticleSettings, rng: np.random.Generator
-) -> _Batch:
-    """Draw `count` particles, follow them to their ends, and sum the power that arrives on every element side."""
-    first: list[tuple[np.ndarray, np.ndarray]] = []
-    later: list[tuple[np.ndarray, np.ndarray]] = []
+    world: World,
+    score: ElementScore | ReceiverScore,
+    emission: Emission,
+    table: BsdfTable | None,
+    count: int,
+    settings: ParticleSettings,
+    rng: np.random.Generator,
+) -> Batch:
+    """Draw `count` particles, follow them to their ends, and sum the power that arrives at every place that is counted."""
+    first: list[tuple] = []
+    later: list[tuple] = []
 
-    def visit(length: int, surface: Surface, arriving: np.ndarray) -> None:
-        if length >= settings.min_length:
-            side = elements.side(surface.triangle, surface.u, surface.v, surface.side)
-            (first if length == 1 else later).append((side, arriving))
+    def visit(hits: Hits) -> None:
+        if hits.length >= settings.min_length:
+            (first if hits.length == 1 else later).append(score.note(hits))
 
     particles = emission.draw(count, rng)
-    ends = walk(world, particles, settings.max_length, rng, visit)
+    ends = walk(world, particles, settings.max_length, rng, visit, table)
     lights = np.stack([np.bincount(particles.light, particles.weight[:, c], len(emission.names)) for c in range(3)], axis=1)
-    sides = 2 * elements.count
-    return _Batch(count, deposit(first, sides), deposit(later, sides), lights, ends)
-
-
-def deposit(hits: list[tuple[np.ndarray, np.ndarray]], sides: int) -> np.ndarray:
-    """(sides, 3) float64 sums of the weights of `hits`, pairs of element sides (n,) and weights (n, 3)."""
-    out = np.zeros((sides, 3))
-    if hits:
-        side = np.concatenate([s for s, _ in hits])
-        weight = np.concatenate([w for _, w in hits])
-        for c in range(3):
-            out[:, c] = np.bincount(side, weight[:, c], sides)
-    return out
+    return Batch(count, score.power(first), score.power(later), score.area(count, rng), lights, ends)
 
 
 def automatic(particles: int) -> int:
@@ -267,6 +218,26 @@ def batch_sizes(particles: int, sides: int) -> list[int]:
     size = min(max(wanted, SMALLEST), LARGEST)
     many = -(-particles // size)
     return [particles // many + (i < particles % many) for i in range(many)]
+
+
+def at_receivers(receivers: Receivers, settings: ParticleSettings) -> bool:
+    """Whether particles are counted at the receivers themselves, which must be points on surfaces."""
+    return settings.score == "receivers" and isinstance(receivers, SurfaceReceivers)
+
+
+def camera_notices(world: World, receivers: Receivers, settings: ParticleSettings) -> tuple[Notice, ...]:
+    """What the method cannot do for a camera."""
+    if receivers.measure != "radiance":
+        return ()
+    out = []
+    if settings.score == "receivers":
+        out.append(Notice("Camera", "has no area to count particles in, so they are counted on elements", "Bake to texels or vertices"))
+    for index in np.unique(world.scene.material):
+        material = world.scene.materials[index]
+        if any(x.kind in KINDS and not x.color.is_black for x in material.lobes):
+            reason = "scatters particles by all its lobes, but is seen as diffuse, since elements hold irradiance"
+            out.append(Notice(f"Material {material.name}", reason, "Choose path tracing or two-pass for pictures of it"))
+    return tuple(dict.fromkeys(out))
 
 
 def notices(world: World, emission: Emission) -> tuple[Notice, ...]:

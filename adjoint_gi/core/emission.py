@@ -24,7 +24,8 @@ class Particles:
     """Particles on their way.
 
     origin, direction (n, 3) float32, recentred and unit; weight (n, 3) float32 power of each colour, W;
-    light (n,) int32 index into `Emission.names`; dark (n,) float32: how far each lights nothing (`PointEmission`), metres.
+    light (n,) int32 index into `Emission.names`; dark (n,) float32: how far each lights nothing (`PointEmission`), metres;
+    reach (n,) float32 or None: how far the first flight may go (a camera's far clipping plane), metres.
     """
 
     origin: np.ndarray
@@ -32,6 +33,7 @@ class Particles:
     weight: np.ndarray
     light: np.ndarray
     dark: np.ndarray
+    reach: np.ndarray | None = None
 
 
 class Emission:
@@ -70,6 +72,15 @@ class Emission:
     def total(self) -> np.ndarray:
         """(3,) float64 emitted power, W."""
         return self.flux.sum(axis=0)
+
+    def of_triangles(self, count: int) -> np.ndarray:
+        """(count, 3) float64 power that each of the `count` triangles of the world emits from both sides together, W."""
+        out = np.zeros((count, 3))
+        for source in self._sources:
+            if isinstance(source, MeshEmission):
+                for c in range(3):
+                    out[:, c] += np.bincount(source.triangle, source.cell_flux[:, c], count)
+        return out
 
     def draw(self, n: int, rng: np.random.Generator) -> Particles:
         """`n` particles whose summed weight is the emitted power in expectation (exactly, where no emission is textured).

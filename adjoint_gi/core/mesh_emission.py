@@ -30,7 +30,8 @@ class MeshEmission:
         radiance = self._radiance_of_cells()
         # A triangle radiates pi L A from each of its two sides.
         self.full = 2 * np.pi * area
-        self.flux = self.full @ radiance
+        self.cell_flux = self.full[:, None] * radiance
+        self.flux = self.cell_flux.sum(axis=0)
         power = radiance.sum(axis=1)
         varying = ~self.constant
         if varying.any():

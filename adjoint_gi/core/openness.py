@@ -12,8 +12,8 @@ import numpy as np
 
 from .emission import Emission
 from .errors import Notice
-from .walks import walk
-from .world import Surface, World
+from .walks import Hits, walk
+from .world import World
 
 PARTICLES = 8192
 LENGTH = 8  # segments a particle is followed
@@ -44,10 +44,11 @@ def measure(world: World, particles: int = PARTICLES) -> Openness:
     rng = np.random.default_rng(0)
     met = 0
 
-    def visit(length: int, surface: Surface, arriving: np.ndarray) -> None:
+    def visit(hits: Hits) -> None:
         nonlocal arrivals, back, met
+        surface = hits.surface
         owner = world.scene.object[surface.triangle]
-        met += len(owner) if length == 1 else 0
+        met += len(owner) if hits.length == 1 else 0
         arrivals = arrivals + np.bincount(owner, minlength=objects)
         back = back + np.bincount(owner, surface.side < 0, minlength=objects)
 
