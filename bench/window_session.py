@@ -68,6 +68,12 @@ def save_panel(name: str) -> None:
     save(name, shot[max(0, used[0] - 8) :])
 
 
+def save_area(name: str, area: bpy.types.Area) -> None:
+    """The left 420 pixels of an area."""
+    region = next(r for r in area.regions if r.type == "WINDOW")
+    save(name, screenshot()[region.y : region.y + region.height, region.x : region.x + 420])
+
+
 def save_view(name: str) -> None:
     """The middle square of the 3D View at half its size."""
     _, area, _ = view()
@@ -172,7 +178,23 @@ def session():
     save_view("baked_box")
     space.show_region_ui = space.show_region_header = True
     operator("restore")
+
+    # F12: the engine works in a thread of Blender's while the window stays alive.
     state.method = "path_tracing"
+    scene.render.engine = "ADJOINT_GI"
+    scene.render.resolution_percentage = 50
+    bpy.context.preferences.view.render_display_type = "NONE"
+    window, area, region = view()
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        print("render", bpy.ops.render.render("INVOKE_DEFAULT"), flush=True)
+    yield from wait(lambda: bpy.app.is_job_running("RENDER"))
+    yield from wait(lambda: not bpy.app.is_job_running("RENDER"))
+    bpy.data.images["Render Result"].save_render(str(OUT / "render.png"))
+    area.ui_type = "PROPERTIES"
+    area.spaces.active.context = "RENDER"
+    yield 2 * PAUSE
+    save_area("render_properties", area)
+    area.ui_type = "VIEW_3D"
     yield PAUSE
 
     # Quitting in the middle of a bake must not wait for its end.

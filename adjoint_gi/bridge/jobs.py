@@ -39,13 +39,17 @@ class Job:
     def __init__(self, context: bpy.types.Context, request: BakeRequest) -> None:
         self.request = request
         self.scene = context.scene.session_uid
+        before = _made()
         self.bake = new_bake(context, request)
+        if _made() != before:
+            push_undo("Adjoint GI Lightmap UVs")
         objects = target_objects(context, request) if request.target != "render" else ()
         layers = {o.session_uid: find_uv_layer(o, request.uv_layer) for o in objects} if request.target == "texture" else {}
         self.targets = Targets(objects, layers)
         self.state = "running"
         self.notices: list[Notice] = []
         self.solution: Solution | None = None  # kept while it could not be written
+        self.undone = False  # the user has undone something since it was started
         self._written = 0  # version of the driver's partial result that was written last
         self._next_write = 0.0
 
@@ -71,11 +75,11 @@ class Job:
         else:
             self.conclude("finished" if state == "finished" else "stopped")
 
-    def stop(self) -> None:
-        """Ask the driver to stop and write what it has; returns within about a second."""
+    def stop(self, wait: float = STOP) -> None:
+        """Ask the driver to stop, and write what it has if it does so in `wait` seconds; otherwise a later `poll` writes it."""
         if self.state == "running":
             self.state = "stopping"
-            if self.bake.driver.stop(STOP):
+            if self.bake.driver.stop(wait) and wait:
                 self.poll()
 
     def resume(self) -> None:
@@ -126,9 +130,9 @@ class Job:
             records.store(
                 record, solution, target=self.request.target, quantity=self.request.quantity, applied=applied, files=files, notices=notices
             )
-            push_undo("Adjoint GI Bake" if self.state == "finished" else "Adjoint GI Partial Bake")
         if applied:
             self.solution = None
+            push_undo("Adjoint GI Bake" if self.state == "finished" else "Adjoint GI Partial Bake")
 
     def fail(self, error: BaseException | None) -> None:
         """The solver or a write raised: say so, and keep the last partial result if there is one."""
@@ -144,12 +148,15 @@ class Job:
     def _write_partial(self) -> None:
         """Show how far it is, at most once in the refresh time, and never for more than a small share of the time."""
         driver, now = self.bake.driver, time.monotonic()
-        if driver.version == self._written or now < self._next_write:
+        if self.undone or driver.version == self._written or now < self._next_write:
             return
         self._written = driver.version
         solution = driver.solution()
         if solution is not None and self.find_scene() is not None and not self.targets.problems(thorough=False):
+            before = _made()
             self.bake.write(solution)
+            if _made() != before:
+                push_undo("Adjoint GI Bake Under Way")
         spent = time.monotonic() - now
         self._next_write = time.monotonic() + max(preferences.refresh_seconds(), spent / SHARE)
 
@@ -258,6 +265,16 @@ def push_undo(message: str) -> None:
             bpy.ops.ed.undo_push(message=message)
 
 
+def _made() -> tuple[int, ...]:
+    """Counts of what a bake can add to a file. Whatever is added needs an undo step of its own.
+
+    An undo takes over unchanged datablocks as they are: one that has got a pointer to a new image, while the undo stack knows nothing
+    of that image, would point to freed memory, and Blender crashes.
+    """
+    meshes = bpy.data.meshes
+    return len(bpy.data.images), len(bpy.data.objects), sum(len(m.uv_layers) for m in meshes), sum(len(m.attributes) for m in meshes)
+
+
 def _tick() -> float | None:
     tick()
     return POLL if running() else None
@@ -277,8 +294,11 @@ def _before_load(*_: object) -> None:
 @bpy.app.handlers.persistent
 def _after_undo(*_: object) -> None:
     """Undo may have taken back the objects that are being baked: then the job stops and keeps what it has."""
-    if running() and (_job.find_scene() is None or _job.targets.problems(thorough=False)):
-        _job.stop()
+    if not running():
+        return
+    _job.undone = True  # a partial write may need an undo step of its own, which would take the user's redo away
+    if _job.find_scene() is None or _job.targets.problems(thorough=False):
+        _job.stop(wait=0)  # written by the next tick: inside an undo nothing may be written
 
 
 HANDLERS = (("load_pre", _before_load), ("undo_post", _after_undo), ("redo_post", _after_undo))

@@ -49,6 +49,9 @@ DOMAINS = (
 # The panel starts with the defaults of the command line.
 DEFAULT = {f.name: f.default for f in dataclasses.fields(BakeRequest)}
 
+# What a quadrant shows first where it holds several methods: the one that solves the whole equation for any diffuse scene.
+PREFERRED = ("path_tracing", "matrix_radiosity", "progressive_radiosity", "particle_tracing")
+
 
 def quadrant(strategy: str, nature: str) -> str:
     """Name of the property that holds the method chosen in one quadrant of the taxonomy."""
@@ -204,7 +207,10 @@ def _root_class(groups: dict[str, type]) -> type[bpy.types.PropertyGroup]:
             items = _items(registry.fitting(strategy, nature))
             if items:  # an enum without items could hold nothing
                 annotations[quadrant(strategy, nature)] = bpy.props.EnumProperty(
-                    name="Method", description="Method that solves the scene", items=items, default=items[0][0]
+                    name="Method",
+                    description="Method that solves the scene",
+                    items=items,
+                    default=next((i[0] for i in items if i[0] in PREFERRED), items[0][0]),
                 )
     if registry.methods():
         annotations["method"] = bpy.props.EnumProperty(

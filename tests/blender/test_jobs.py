@@ -260,6 +260,7 @@ def test_undo_of_the_baked_object_stops_the_job(scene, tmp_path, monkeypatch):
     ticks(lambda: job.bake.driver.version > 0)
     bpy.ops.ed.undo()
     assert "Late" not in bpy.data.objects
+    ticks(lambda: not job.active)
     assert job.state == "stopped"
     assert "Late: was deleted" in str(job.notices[0])
     with pytest.raises(AdjointError, match="was deleted"):

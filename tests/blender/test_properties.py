@@ -70,6 +70,16 @@ def test_quadrants_show_what_fits(state):
             assert solver.spec.id in wanted if wanted else solver is None
 
 
+def test_a_new_file_starts_with_path_tracing(state):
+    state.property_unset("strategy")
+    state.property_unset("nature")
+    assert state.method == "path_tracing"
+    for name in properties.PREFERRED:
+        spec = registry.method(name).spec
+        prop = state.bl_rna.properties[properties.quadrant(spec.strategies[0], spec.natures[0])]
+        assert prop.default == name
+
+
 def test_setting_the_method_chooses_its_quadrant(state):
     state.strategy, state.nature = "gathering", "nondeterministic"
     state.method = "fake"
