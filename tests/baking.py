@@ -16,10 +16,12 @@ from adjgi.adjoint_gi.bridge.lightmap_uv import STORED
 from adjgi.adjoint_gi.bridge.targets import RESULTS, link
 from adjgi.adjoint_gi.bridge.write_image import linked_image, read_pixels
 from adjgi.adjoint_gi.core import registry
+from adjgi.adjoint_gi.core.errors import AdjointError
 from adjgi.adjoint_gi.core.lightmap import Lightmap
 from adjgi.adjoint_gi.core.world import World
 from adjgi.solvers import load
 
+__all__ = ["AdjointError"]  # for tests
 load()
 SMOOTH = 2  # texels on each side over which variances of one image are averaged
 

@@ -21,7 +21,7 @@ import bpy
 import numpy as np
 
 from ..core.driver import Driver
-from ..core.errors import Notice, TargetError
+from ..core.errors import AdjointError, Notice, TargetError
 from ..core.exr import write_exr
 from ..core.lightmap import Lightmap, Placement, join, rasterize
 from ..core.margin import fill_margin
@@ -34,9 +34,9 @@ from ..core.vertices import VertexMap, vertex_receivers
 from ..core.world import World
 from . import files, report, targets
 from .extract import extract
-from .lightmap_uv import check_uv_layer, find_uv_layer, make_lightmap_uv
+from .lightmap_uv import check_uv_layer, find_uv_layer, make_lightmap_uv, remove_lightmap_uv
 from .pictures import exposure, write_picture
-from .preflight import has_own_layer, inspect, look, ordered, picture_size, preflight, receiving, target_objects
+from .preflight import has_own_layer, inspect, look, ordered, picture_size, preflight, receiving
 from .request import BakeRequest, raise_first
 from .write_attribute import write_attribute
 from .write_image import write_image
@@ -82,7 +82,7 @@ class Bake:
         raise_first(notices)
 
         # Step 2: UV layers that are missing are made; then the scene has to be read again.
-        if request.target == "texture" and not request.uv_layer and self._make_layers(context):
+        if request.target == "texture" and not request.uv_layer and self._make_layers(context, world):
             world = World(self._extract(context))
 
         # Step 3: receivers and the driver.
@@ -123,17 +123,37 @@ class Bake:
         depsgraph = context.evaluated_depsgraph_get()
         return extract(depsgraph, context.scene, picture_size(context.scene, self.request))
 
-    def _make_layers(self, context: bpy.types.Context) -> bool:
-        """Make our UV layer on the meshes that lack it; whether any mesh changed."""
-        made = False
-        for obj in target_objects(context, self.request):
-            if not has_own_layer(obj.data):
-                size = self.request.resolution
-                make_lightmap_uv(obj, resolution=size, padding=min(4, max(1, size // 128)))
-                made = True
+    def _make_layers(self, context: bpy.types.Context, world: World) -> bool:
+        """Make our UV layer on the meshes that receive and lack it; whether any mesh changed. All of them get one, or none."""
+        made: list[bpy.types.Object] = []
+        for index in receiving(world.scene, self.request):
+            item = world.scene.objects[index]
+            obj = find_objects((item.uid,), item.source)[0]
+            if has_own_layer(obj.data):
+                continue
+            try:
+                self._make_layer(obj)
+            except AdjointError:
+                for other in made:
+                    remove_lightmap_uv(other)
+                raise
+            made.append(obj)
         if made:
             context.view_layer.update()
-        return made
+        return bool(made)
+
+    def _make_layer(self, obj: bpy.types.Object) -> None:
+        """Unwrap `obj` with as much space between its islands as there is room for, four texels at most."""
+        size = self.request.resolution
+        for padding in (4, 2, 1, 0):
+            if padding > max(1, size // 128):
+                continue
+            try:
+                make_lightmap_uv(obj, resolution=size, padding=padding)
+                return
+            except TargetError:
+                if padding == 0:
+                    raise
 
     def _receivers(self, context: bpy.types.Context, world: World) -> Receivers:
         request = self.request

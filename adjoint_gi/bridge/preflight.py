@@ -60,6 +60,7 @@ def look(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
     """What can be told without extracting the scene."""
     notices = request.problems()
     scene = context.scene
+    context.view_layer.update()  # after a removal its list of objects has a hole until then
     if request.target == "render":
         if scene.camera is None:
             notices.append(Notice("Camera", "the scene has no active camera", "Add a camera and make it active", "error"))
@@ -100,6 +101,8 @@ def inspect(world: World, request: BakeRequest) -> list[Notice]:
         for name in [n for n in request.objects if n not in found]:
             reason = "is not in the scene as it is rendered: it has no faces with an area, or is seen only as an instance"
             notices.append(Notice(name, reason, "Give it faces, show it in renders, or make its instances real", "error"))
+        if not request.objects:
+            notices += _meshless(arrays)
         if not receivers and not request.objects and not any(n.severity == "error" for n in notices):
             notices.append(Notice("Scene", "has no mesh object with faces to bake", "Add one, or show one in renders", "error"))
     if not emits(world):
@@ -111,8 +114,9 @@ def inspect(world: World, request: BakeRequest) -> list[Notice]:
 
 
 def receiving(arrays: SceneArrays, request: BakeRequest) -> list[int]:
-    """Indices of the objects that receive: no instances, for these have no mesh of their own to write to."""
-    own = [i for i, o in enumerate(arrays.objects) if not o.instance]
+    """Indices of the objects that receive: no instances and no texts or curves, for these have no mesh of their own to write to."""
+    meshes = {o.session_uid for o in bpy.data.objects if o.type == "MESH"}
+    own = [i for i, o in enumerate(arrays.objects) if not o.instance and o.uid in meshes]
     if request.target == "render":
         return []
     return [i for i in own if arrays.objects[i].source in request.objects] if request.objects else own
@@ -151,7 +155,7 @@ def estimates(world: World, request: BakeRequest, objects: int) -> list[Notice]:
         needed += solver.memory(world, receivers, settings)
     except AdjointError as error:
         notices.append(error.notice)
-    return notices + _memory_notice(solver.spec.label, needed, f"{world.triangle_count:,} triangles, {what}, ")
+    return notices + _memory_notice(solver.spec.label, needed, f"{world.triangle_count:,} triangles, {what}")
 
 
 def element_count(world: World, settings: Settings) -> int:
@@ -194,6 +198,14 @@ def _named(context: bpy.types.Context, name: str) -> list[Notice]:
     if obj.hide_render:
         return [Notice(name, "is hidden in render, so no light reaches it", "Enable it in renders", "error")]
     return []
+
+
+def _meshless(arrays: SceneArrays) -> list[Notice]:
+    """Texts, curves and the like, which are in the light but not baked."""
+    kinds = {o.session_uid: o.type for o in bpy.data.objects}
+    found = [(o.source, kinds.get(o.uid, "MESH")) for o in arrays.objects if not o.instance]
+    reason = "takes part in the light, but has no mesh to bake to"
+    return [Notice(name, f"is a {kind.lower()}, which {reason}", "Convert it to a mesh", "info") for name, kind in found if kind != "MESH"]
 
 
 def _texture_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]:
@@ -257,12 +269,13 @@ def _output(request: BakeRequest) -> list[Notice]:
     return []
 
 
-def _memory_notice(label: str, needed: int, before: str = "") -> list[Notice]:
+def _memory_notice(label: str, needed: int, what: str = "") -> list[Notice]:
+    """The estimate as an info, or as an error when so much is not free; `what` says what it is for."""
     free = available_memory()
-    said = f"{before}about {size_text(needed)} of memory"
+    said = f"about {size_text(needed)} of memory" + (f" for {what}" if what else "")
     if free is None:
-        return [Notice(label, said, "", "info")]
+        return [Notice(label, f"takes {said}", "", "info")]
     if needed > SHARE * free:
         remedy = "Lower the resolution or the number of elements, or choose another method"
         return [Notice(label, f"needs {said}, and {size_text(free)} are free", remedy, "error")]
-    return [Notice(label, f"{said} of {size_text(free)} that are free", "", "info")]
+    return [Notice(label, f"takes {said}; {size_text(free)} are free", "", "info")]
