@@ -93,10 +93,15 @@ def summary(made: Bake) -> str:
 
 
 def open_scene(options: argparse.Namespace) -> None:
-    """Open the named file; raises `TargetError` when that cannot be done."""
-    if not options.scene:
-        return
-    path = Path(options.scene).absolute()
+    """Open the named file, if any, and make it ready; raises `TargetError` when that cannot be done."""
+    if options.scene:
+        open_file(options.scene)
+    leave_edit_mode()
+
+
+def open_file(scene: str) -> None:
+    """Open a .blend file without its window layout; raises `TargetError`."""
+    path = Path(scene).absolute()
     if not path.is_file():
         raise TargetError(str(path), "does not exist", "Name a .blend file")
     try:
@@ -104,6 +109,18 @@ def open_scene(options: argparse.Namespace) -> None:
         bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
     except RuntimeError as error:
         raise TargetError(str(path), f"cannot be opened ({str(error).strip()})", "Name a .blend file that this Blender can read") from None
+
+
+def leave_edit_mode() -> None:
+    """Leave edit mode on every object: a file may have been saved in it, and here is nobody who could leave it by hand."""
+    layer = bpy.context.view_layer
+    layer.update()  # after a removal the list of objects has a hole until then
+    for obj in layer.objects:
+        if obj.mode == "EDIT":
+            active, layer.objects.active = layer.objects.active, obj
+            bpy.ops.object.mode_set(mode="OBJECT")
+            layer.objects.active = active
+            say_notices([Notice(obj.name, "was in edit mode, which has been left", "", "info")])
 
 
 def require_place(options: argparse.Namespace, request: BakeRequest) -> None:

@@ -187,6 +187,17 @@ def test_scene_that_is_no_blend(tmp_path):
     assert code == 2 and "text.blend: cannot be opened" in err
 
 
+def test_file_saved_in_edit_mode_is_baked(tmp_path):
+    scene = box()
+    bpy.context.view_layer.objects.active = scene.objects["Floor"]
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "edit.blend"))
+    code, _, err = command(
+        "bake", tmp_path / "edit.blend", "--resolution", 8, "--set", "samples=1", "--objects", "Floor", "--output", tmp_path / "out"
+    )  # fmt: skip
+    assert code == 0 and "info: Floor: was in edit mode" in err, err
+
+
 def test_check_finds_without_baking(tmp_path):
     scene = box()
     code, out, _ = command("check", "--output", tmp_path)
