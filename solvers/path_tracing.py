@@ -5,35 +5,41 @@ it comes upon:
 
     <Lo(x)> = Le(x) + Le(x') + Le(x'') + ...                                                                          (12)
 
-The mean over many paths is the solution. With Kajiya, the emission of the next surface is estimated by light points as well; the two
-estimates are joined by multiple importance sampling (Veach and Guibas 1995). Paths end at random once they carry little (roulette).
+The mean over many paths is the solution. Kajiya asks for variance reduction by hierarchical and nonuniform sampling. Each kind has a
+switch, so that its effect can be seen: directions drawn by the BRDF instead of evenly (`lobe_importance`), points drawn on the lights by
+their power (`light_importance`), both joined by weights (`joined`; Veach and Guibas 1995), and even numbers over the first surfaces
+(`stratified`). Paths end at random once they carry little (roulette), which keeps the mean.
+
+Scenes of diffuse surfaces alone take a faster kernel (`core.paths`) than scenes with other lobes (`core.radiance`).
 
 J. T. Kajiya, "The Rendering Equation", SIGGRAPH 1986, 143-150.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..adjoint_gi.core import radiance
 from ..adjoint_gi.core import settings as base
+from ..adjoint_gi.core.bsdf import ALL_LOBES, BsdfTable
+from ..adjoint_gi.core.emitters import Emitters
 from ..adjoint_gi.core.errors import Notice
-from ..adjoint_gi.core.film import Film, read_surfaces
+from ..adjoint_gi.core.film import read_surfaces
+from ..adjoint_gi.core.gathering import Run
 from ..adjoint_gi.core.parallel import in_order, thread_count
-from ..adjoint_gi.core.paths import DIMENSIONS, PathBatch, PathTracer, Walk
+from ..adjoint_gi.core.paths import DIMENSIONS, PathTracer, Walk
 from ..adjoint_gi.core.receivers import Receivers
 from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
 from ..adjoint_gi.core.settings import setting
-from ..adjoint_gi.core.solution import Solution, Step
-from ..adjoint_gi.core.world import World
+from ..adjoint_gi.core.solution import Step
+from ..adjoint_gi.core.world import Surface, World
 
 BATCH = 1 << 14  # paths in a batch
 MOST_SAMPLES = 16  # of one receiver in a batch
-PAUSE = 0.1  # seconds between steps, about
 
 
 @dataclass(frozen=True)
@@ -57,6 +63,27 @@ class PathSettings(base.Settings):
         max=1024,
         soft_max=16,
     )
+    light_importance: bool = setting(
+        True,
+        label="Importance over Lights",
+        help="Draw points on the lights by their power. Off: paths meet lights by chance",
+    )
+    lobe_importance: bool = setting(True, label="Importance over Lobes", help="Draw directions by the BRDF. Off: evenly over all")
+    joined: bool = setting(
+        True,
+        label="Join Both",
+        help="Weigh light points against lights that paths meet. Off: light points alone, where they are on",
+    )
+    stratified: bool = setting(
+        True,
+        label="Stratified",
+        help="Sobol numbers for the first surfaces of paths in diffuse scenes. Off: independent numbers",
+    )
+
+    @property
+    def plain(self) -> bool:
+        """Whether every variance reduction is on, as the fast kernel has it."""
+        return self.light_importance and self.lobe_importance and self.joined and self.stratified
 
 
 @register
@@ -76,10 +103,10 @@ class PathTracing(Solver):
         section="6.2",
         idea="A path takes one random direction at each surface and adds up the emission it meets; the mean of many is the solution.",
         limits=(
-            "Diffuse surfaces only: other lobes are taken as diffuse",
+            "Caustics of small lights are noisy: only paths that meet the light find them",
             "Noise falls only with the square root of the time, and is highest where light arrives through small openings",
         ),
-        lobes=frozenset({"diffuse", "emission"}),
+        lobes=ALL_LOBES | {"emission"},
     )
     Settings = PathSettings
 
@@ -90,38 +117,91 @@ class PathTracing(Solver):
 
     def solve(self, world: World, receivers: Receivers, settings: PathSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield about ten times a second; the fraction is samples done."""
-        clock = Clock()
-        seed = tuple(int(x) for x in rng.integers(0, 2**32, 4))
-        walk = Walk(settings.min_length, settings.max_length, settings.roulette_length if settings.roulette else 0)
-        tracer = PathTracer(world, receivers, walk, seed)
-        film = Film(receivers)
-        surfaces: dict[str, np.ndarray] = {}
-        state = _State(self.spec.id, world, receivers, settings, film, surfaces, clock)
-        state.warnings = world.scene.warnings + world.shading.substitutions(self.spec.lobes)
+        emitters = Emitters(world)
+        table = BsdfTable(world.scene)
+        run = Run(self.spec, world, receivers, settings, emitters, notices(emitters, settings))
+        if table.only_diffuse and settings.plain:
+            yield from diffuse_steps(run, settings, rng)
+        else:
+            walk = general_walk(world, emitters, table, settings)
+            yield from run.steps(lambda *at: estimate(walk, *at), settings.samples, rng)
 
-        # Step 1: passes over all receivers, in batches that run in any order of time but are added up in their own. What the receivers
-        # are made of is read in between, so that light shows at once; camera samples find that out by themselves.
-        reading = read_surfaces(world, receivers, surfaces)
-        total = receivers.count * settings.samples
-        paths = 0
-        with closing(in_order(lambda item: tracer.batch(*item), batches(receivers.count, settings.samples))) as results:
-            for batch in results:
-                state.add(batch)
-                paths += batch.samples * (batch.last - batch.first)
-                if receivers.measure == "irradiance":
-                    next(reading, None)
-                if batch.last == receivers.count:
-                    state.measure()
-                if clock.due() and paths < total:
-                    text = f"{paths / receivers.count:.0f} of {settings.samples} samples"
-                    yield from clock.pause(Step(paths / total, text, state.solution))
 
-        # Step 2: the rest of it, and for a camera the passes that only a finished picture gets.
-        for done in reading:
-            if clock.due():
-                yield from clock.pause(Step(1.0, f"Reading surfaces, {done:.0%}", state.solution))
-        state.partial = False
-        yield Step(1.0, f"{settings.samples} samples", state.solution)
+def diffuse_steps(run: Run, settings: PathSettings, rng: np.random.Generator) -> Iterator[Step]:
+    """The fast kernel for diffuse surfaces, with all variance reduction."""
+    world, receivers, film, clock = run.world, run.receivers, run.film, run.clock
+    seed = tuple(int(x) for x in rng.integers(0, 2**32, 4))
+    walk = Walk(settings.min_length, settings.max_length, settings.roulette_length if settings.roulette else 0)
+    tracer = PathTracer(world, receivers, walk, seed)
+
+    # Step 1: passes over all receivers, in batches that run in any order of time but are added up in their own. What the receivers
+    # are made of is read in between, so that light shows at once; camera samples find that out by themselves.
+    reading = read_surfaces(world, receivers, run.surfaces)
+    total = receivers.count * settings.samples
+    paths = spoiled = 0
+    warnings = run.warnings
+    with closing(in_order(lambda item: tracer.batch(*item), batches(receivers.count, settings.samples))) as results:
+        for batch in results:
+            part = slice(batch.first, batch.last)
+            film.add(part, batch.samples, batch.direct, batch.indirect)
+            if batch.emitted is not None:
+                film.emitted[part] += batch.emitted
+                film.albedo[part] += batch.albedo
+            run.rays += batch.rays
+            if batch.spoiled:
+                spoiled += batch.spoiled
+                text = f"{spoiled} samples were not numbers and count as 0"
+                run.warnings = (*warnings, Notice("", text, "Look for extreme values in lights and materials"))
+            paths += batch.samples * (batch.last - batch.first)
+            if receivers.measure == "irradiance":
+                next(reading, None)
+            if batch.last == receivers.count:
+                run.measure()
+            if clock.due() and paths < total:
+                text = f"{paths / receivers.count:.0f} of {settings.samples} samples"
+                yield from clock.pause(Step(paths / total, text, run.solution))
+
+    # Step 2: the rest of it, and for a camera the passes that only a finished picture gets.
+    for done in reading:
+        if clock.due():
+            yield from clock.pause(Step(1.0, f"Reading surfaces, {done:.0%}", run.solution))
+    run.partial = False
+    yield Step(1.0, f"{settings.samples} samples", run.solution)
+
+
+def general_walk(world: World, emitters: Emitters, table: BsdfTable, settings: PathSettings) -> radiance.Walk:
+    """The walk over any lobes, with or without each variance reduction."""
+    return radiance.Walk(
+        world,
+        emitters,
+        table,
+        settings.min_length,
+        settings.max_length,
+        settings.roulette_length if settings.roulette else 1 << 30,
+        lights=settings.light_importance,
+        lobes=settings.joined or not settings.light_importance,
+        uniform=not settings.lobe_importance,
+    )
+
+
+def estimate(walk: radiance.Walk, surface: Surface, wo: np.ndarray | None, rng: np.random.Generator) -> radiance.Gathered:
+    """One path from each surface point: radiance towards `wo`, or irradiance where it is None."""
+    if wo is not None:
+        return radiance.gather(walk, surface, radiance.lobes_of(walk, surface, wo), rng)
+    found = radiance.gather(walk, surface, radiance.white(walk, surface), rng)
+    return radiance.Gathered(found.direct * np.float32(np.pi), found.indirect * np.float32(np.pi), found.rays)
+
+
+def notices(emitters: Emitters, settings: PathSettings) -> tuple[Notice, ...]:
+    """Lamps that no path can meet, where light points are off."""
+    if settings.light_importance:
+        return ()
+    names = [
+        x.name
+        for x, sized, power in zip(emitters.world.scene.lights, emitters.lamps.sized, emitters.lamps.power, strict=True)
+        if power and not sized
+    ]
+    return tuple(Notice(n, "has no size, so no path meets it", "Turn on Importance over Lights, or give it a size") for n in names)
 
 
 def batches(count: int, samples: int) -> Iterator[tuple[int, int, int, int]]:
@@ -140,100 +220,3 @@ def batches(count: int, samples: int) -> Iterator[tuple[int, int, int, int]]:
         for first in range(0, count, block):
             yield first, min(first + block, count), now, index
         index += now
-
-
-class Clock:
-    """Seconds of work, without the time in which nobody asked for the next step."""
-
-    def __init__(self) -> None:
-        self._began = time.perf_counter()
-        self._last = self._began
-
-    @property
-    def seconds(self) -> float:
-        """Worked so far."""
-        return time.perf_counter() - self._began
-
-    def due(self) -> bool:
-        """Whether it is time for a step."""
-        return time.perf_counter() - self._last >= PAUSE
-
-    def pause(self, step: Step) -> Iterator[Step]:
-        """Yield `step` and leave out the time until the generator is continued."""
-        left = time.perf_counter()
-        yield step
-        self._last = time.perf_counter()
-        self._began += self._last - left
-
-
-class _State:
-    """What a solution is made of at any moment."""
-
-    def __init__(
-        self,
-        method: str,
-        world: World,
-        receivers: Receivers,
-        settings: PathSettings,
-        film: Film,
-        surfaces: dict[str, np.ndarray],
-        clock: Clock,
-    ) -> None:
-        self.method, self.world, self.receivers, self.settings = method, world, receivers, settings
-        self.film, self.surfaces, self.clock = film, surfaces, clock
-        self.rays = self.spoiled = 0
-        self.history: list[tuple[float, float]] = []
-        self.warnings: tuple[Notice, ...] = ()
-        self.partial = True
-
-    def add(self, batch: PathBatch) -> None:
-        """Add a batch to the film."""
-        part = slice(batch.first, batch.last)
-        self.film.add(part, batch.samples, batch.direct, batch.indirect)
-        if batch.emitted is not None:
-            self.film.emitted[part] += batch.emitted
-            self.film.albedo[part] += batch.albedo
-        self.rays += batch.rays
-        self.spoiled += batch.spoiled
-
-    def measure(self) -> None:
-        """Note the relative standard error after a pass."""
-        error = self.film.relative_error()
-        if error is not None:
-            self.history.append((self.clock.seconds, error))
-
-    def solution(self) -> Solution:
-        """A copy of the result as it stands; reflectance and own emission of surfaces are 0 until they have been read."""
-        film, surfaces, n = self.film, self.surfaces, self.receivers.count
-        weight = (film.count > 0).astype(np.float32)
-        extra = {}
-        if self.receivers.kind == "camera":
-            emitted, albedo = film.mean(film.emitted), film.mean(film.albedo)
-            extra = {k: surfaces[k] for k in ("normal", "depth") if k in surfaces}
-        elif surfaces:
-            albedo, emitted = surfaces["albedo"], surfaces["emission"] * np.float32(np.pi)
-            if self.settings.min_length > 0:
-                emitted = np.zeros_like(emitted)
-            weight = weight * (surfaces["weight"] > 0)
-        else:
-            emitted = albedo = np.zeros((n, 3), np.float32)
-        warnings = self.warnings
-        if self.spoiled:
-            text = f"{self.spoiled} samples were not numbers and count as 0"
-            warnings = (*warnings, Notice("", text, "Look for extreme values in lights and materials"))
-        return Solution(
-            self.method,
-            self.receivers.measure,
-            emitted,
-            film.mean(film.direct),
-            film.mean(film.indirect),
-            albedo,
-            weight,
-            rays=self.rays,
-            seconds=self.clock.seconds,
-            history=tuple(self.history),
-            warnings=warnings,
-            settings=self.settings.as_dict(),
-            partial=self.partial,
-            extra=extra,
-        )

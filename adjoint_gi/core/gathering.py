@@ -110,9 +110,7 @@ class Run:
                 self._add(first, last, many, sums)
                 done += many * (last - first)
                 if last == self.receivers.count:
-                    error = self.film.relative_error()
-                    if error is not None:
-                        self.history.append((self.clock.seconds, error))
+                    self.measure()
                 if self.clock.due() and done < total:
                     text = f"{done / self.receivers.count:.0f} of {samples} samples"
                     yield from self.clock.pause(Step(done / total, text, self.solution))
@@ -140,6 +138,12 @@ class Run:
                     yield from self.clock.pause(Step(min(share, 0.999), f"{share:.0%} of the receivers", self.solution))
         yield from self.finish("all receivers")
 
+    def measure(self) -> None:
+        """Note the relative standard error after a pass over all receivers."""
+        error = self.film.relative_error()
+        if error is not None:
+            self.history.append((self.clock.seconds, error))
+
     def finish(self, text: str) -> Iterator[Step]:
         """Read what only a finished picture gets, and yield the last step."""
         yield from self._read_surfaces(before=False)
@@ -159,7 +163,7 @@ class Run:
         on = np.flatnonzero(points.triangle >= 0)
         towards = None if points.towards is None else points.towards[on]
         surface = self.world.surface(points.triangle[on], points.u[on], points.v[on], towards)
-        found = estimate(surface, towards, rng) if len(on) else Gathered(np.zeros((0, 3)), np.zeros((0, 3)), 0)
+        found = estimate(surface, towards if self.is_camera else None, rng) if len(on) else Gathered(np.zeros((0, 3)), np.zeros((0, 3)), 0)
         owner = points.receiver - first
 
         def total(values: np.ndarray, at: np.ndarray) -> np.ndarray:

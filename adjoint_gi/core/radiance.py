@@ -14,7 +14,7 @@ import numpy as np
 
 from . import bsdf
 from .emitters import Emitters
-from .sampling import power_heuristic
+from .sampling import power_heuristic, sphere
 from .world import Surface, World
 
 INF = np.float32(np.inf)
@@ -26,6 +26,7 @@ class Walk:
 
     min_length, max_length: path lengths that count. roulette: segments after which walks end at random.
     lights, lobes: use light points; use what BSDF rays meet. With both, each is weighted; with one, it stands alone.
+    uniform: draw directions evenly over the sphere instead of by the BSDF (mirrors still by theirs): what importance sampling saves.
     known: outgoing radiance (m, 3) that is already known of some points, as (rows (m,), radiance), asked at every hit; walks that
     get an answer end there with it, which is how second passes read the first.
     """
@@ -38,6 +39,7 @@ class Walk:
     roulette: int = 3
     lights: bool = True
     lobes: bool = True
+    uniform: bool = False
     known: Callable[[Surface, bsdf.Lobes, np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None
 
 
@@ -77,6 +79,8 @@ def gather(walk: Walk, surface: Surface, lobes: bsdf.Lobes, rng: np.random.Gener
             rays += cast
         # Step 2: a ray by the BSDF.
         scattered = bsdf.sample(lobes, rng)
+        if walk.uniform:
+            scattered = evenly(lobes, scattered, rng)
         go = leaving(surface, scattered)
         if not len(go):
             break
@@ -108,6 +112,19 @@ def gather(walk: Walk, surface: Surface, lobes: bsdf.Lobes, rng: np.random.Gener
             at = np.flatnonzero(keep)
             weight, row, surface, lobes = weight[at], row[at], take(surface, at), lobes.take(at)
     return Gathered(direct, indirect, rays)
+
+
+def evenly(lobes: bsdf.Lobes, scattered: bsdf.Scattered, rng: np.random.Generator) -> bsdf.Scattered:
+    """`scattered` with its directions of finite density replaced by ones uniform over the sphere."""
+    p = bsdf.weights(lobes)
+    smooth = 1 - sum((p[i + 1] * slot.delta for i, slot in enumerate(lobes.slots)), np.zeros(len(lobes.wo), np.float32))
+    wi = sphere(*rng.random((2, len(lobes.wo)), np.float32)).T
+    value, _ = bsdf.evaluate(lobes, wi, p)
+    pdf = np.maximum(smooth, np.float32(1e-6)) / np.float32(4 * np.pi)
+    d = scattered.delta
+    through = np.where(d, scattered.through, np.einsum("ij,ij->i", wi, lobes.z) < 0)
+    wi = np.where(d[:, None], scattered.wi, wi).astype(np.float32)
+    return bsdf.Scattered(wi, np.where(d[:, None], scattered.weight, value / pdf[:, None]), np.where(d, 0, pdf), d, through)
 
 
 def leaving(surface: Surface, scattered: bsdf.Scattered) -> np.ndarray:

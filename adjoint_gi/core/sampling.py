@@ -116,7 +116,8 @@ class PowerTable:
         # Entries below 1 are filled up by entries above 1 in turn. One that has given away too much is filled up by the next one,
         # so that running sums of what is missing and what is spare say who fills whom (Huebschle-Schneider and Sanders 2022).
         small, large = np.flatnonzero(scaled < 1), np.flatnonzero(scaled >= 1)
-        if self.count and len(small):
+        # Equal weights may all come out a rounding error below 1; then there is nothing to fill.
+        if self.count and len(small) and len(large):
             missing, spare = np.cumsum(1 - scaled[small]), np.cumsum(scaled[large] - 1)
             before = np.append(0.0, missing[:-1])
             giver = np.minimum(np.searchsorted(spare, before, side="right"), len(large) - 1)
