@@ -11,7 +11,7 @@ import bpy
 
 from ..core.errors import AdjointError, Notice
 from . import jobs
-from .preflight import preflight
+from .preflight import look, preflight
 from .properties import request_of
 from .request import BakeRequest
 
@@ -27,6 +27,7 @@ class _Cache:
     request: BakeRequest | Notice | None = None  # what was checked
     notices: tuple[Notice, ...] | None = None
     next_time = 0.0
+    full_time = 0.0  # when the scene may be extracted again
     changed_at = 0.0  # when the scene changed last
     dirty = True
 
@@ -44,11 +45,11 @@ def _request(context: bpy.types.Context) -> BakeRequest | Notice:
         return error.notice
 
 
-def _check(context: bpy.types.Context, request: BakeRequest | Notice) -> tuple[Notice, ...]:
+def _check(context: bpy.types.Context, request: BakeRequest | Notice, full: bool = True) -> tuple[Notice, ...]:
     if isinstance(request, Notice):
         return (request,)
     try:
-        return tuple(preflight(context, request))
+        return tuple(preflight(context, request) if full else look(context, request))
     except AdjointError as error:
         return (error.notice,)
     except Exception as error:  # from a timer nobody would see it, and the panel would look as if nothing were wrong
@@ -75,14 +76,17 @@ def refresh() -> None:
     with bpy.context.temp_override(window=window) if window else contextlib.nullcontext():
         context = bpy.context
         request, scene = _request(context), context.scene.session_uid
+        _Cache.next_time = started + INTERVAL
         if (request, scene) == (_Cache.request, _Cache.scene) and not _Cache.dirty:
-            _Cache.next_time = started + INTERVAL
             return
-        found = _check(context, request)
-    spent = time.monotonic() - started
+        # Reading the whole scene takes long in big scenes, so it is done less often than what can be told at once.
+        full = started >= _Cache.full_time
+        found = _check(context, request, full)
+    if full:
+        now = time.monotonic()
+        _Cache.full_time = now + (now - started) / SHARE
     changed = (found, scene) != (_Cache.notices, _Cache.scene)
-    _Cache.request, _Cache.notices, _Cache.scene, _Cache.dirty = request, found, scene, False
-    _Cache.next_time = time.monotonic() + max(INTERVAL, spent / SHARE)
+    _Cache.request, _Cache.notices, _Cache.scene, _Cache.dirty = request, found, scene, not full
     if changed:
         jobs.redraw()
 
@@ -107,6 +111,7 @@ def _changed(*_: object) -> None:
 def register() -> None:
     """Start without knowledge."""
     _Cache.scene, _Cache.request, _Cache.notices, _Cache.next_time, _Cache.dirty = 0, None, None, 0.0, True
+    _Cache.full_time = 0.0
     bpy.app.handlers.depsgraph_update_post.append(_changed)
 
 

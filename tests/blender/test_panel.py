@@ -184,6 +184,8 @@ def test_numbers_as_people_read_them():
 def test_the_check_looks_again_only_after_a_change(state, monkeypatch):
     seen = []
     monkeypatch.setattr(check, "preflight", lambda context, request: seen.append(request) or [])
+    monkeypatch.setattr(check, "SHARE", 1e9)
+    monkeypatch.setattr(check._Cache, "full_time", 0.0)
     square()
     check.refresh()
     assert len(seen) == 1
@@ -200,6 +202,19 @@ def test_the_check_looks_again_only_after_a_change(state, monkeypatch):
     assert len(seen) == 3
 
 
+def test_a_slow_check_is_seldom_but_errors_are_seen_at_once(state, monkeypatch):
+    monkeypatch.setattr(check, "preflight", lambda context, request: pytest.fail("extracted again too early"))
+    monkeypatch.setattr(check._Cache, "full_time", float("inf"))
+    square()
+    state.uv_layer = "Nowhere"
+    check.refresh()
+    assert check._Cache.notices[0].severity == "error" and "Nowhere" in str(check._Cache.notices[0])
+    assert check._Cache.dirty
+    state.uv_layer = ""
+    check.refresh()
+    assert not any(n.severity == "error" for n in check._Cache.notices)
+
+
 def test_the_check_waits_until_nothing_changes_any_more(state, monkeypatch):
     monkeypatch.setattr(check, "refresh", lambda: pytest.fail("looked too early"))
     check._changed()
@@ -207,7 +222,6 @@ def test_the_check_waits_until_nothing_changes_any_more(state, monkeypatch):
 
 
 def test_nothing_selected_is_said_before_bake(state):
-    check.refresh()
     (notice,) = check.now(bpy.context)
     assert (notice.severity, notice.object) == ("error", "Selected Only")
     assert bpy.ops.adjoint_gi.bake() == {"CANCELLED"}
