@@ -12,7 +12,7 @@ from pathlib import Path
 import bpy
 
 from ..core.atomic import check_target, replace_file
-from ..core.errors import AdjointError, Notice, TargetError, WriteError
+from ..core.errors import AdjointError, MemoryRefused, Notice, SceneError, TargetError, WriteError
 from ..core.resources import peak_memory, size_text
 from . import files
 from .bake import ABOUT, Bake, preflight
@@ -33,6 +33,8 @@ def bake(options: argparse.Namespace) -> int:
     say_notices(made.notices)
     failure = solve(made)
     solution = made.driver.solution()
+    if isinstance(failure, SceneError | MemoryRefused):
+        raise failure  # refused by the method once it had looked closely: what there is until then is no result
     if solution is None:
         if failure is not None:
             raise failure
