@@ -7,6 +7,7 @@ from importlib import import_module
 MODULES: tuple[str, ...] = (
     "local_illumination",
     "whitted",
+    "two_pass",
     "distribution",
     "irradiance_cache",
     "path_tracing",
@@ -15,6 +16,8 @@ MODULES: tuple[str, ...] = (
     "directional_radiosity",
     "progressive_radiosity",
     "spherical_harmonics",
+    "potential",
+    "multi_pass",
 )
 
 

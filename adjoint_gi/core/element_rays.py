@@ -41,8 +41,8 @@ class ElementRays:
         self._rows = np.concatenate([corner, along, across, t1, t2, elements.normal], axis=1).astype(np.float32)
         self._normals = np.ascontiguousarray(self.world.rows[:, 9:12])
 
-    def cast(self, side: np.ndarray, number: np.ndarray, stream: np.ndarray) -> np.ndarray:
-        """(n,) int64 sides met by rays from `side` (n,), -1 where they escape. `number` and `stream` pick the ray."""
+    def start(self, side: np.ndarray, number: np.ndarray, stream: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Origins, directions and the sides' normals, (n, 3) float32, of rays from `side` (n,). `number` and `stream` pick the ray."""
         u = shifted_points(number, stream).astype(np.float32)
         element = side >> 1
         rows = self._rows[element]
@@ -56,6 +56,11 @@ class ElementRays:
         up = np.sqrt(np.maximum(1 - u[2], np.float32(1e-7)))
         direction = (radius * np.cos(angle))[:, None] * rows[:, 9:12] + (radius * np.sin(angle))[:, None] * rows[:, 12:15]
         direction += up[:, None] * normal
+        return origin, direction, normal
+
+    def cast(self, side: np.ndarray, number: np.ndarray, stream: np.ndarray) -> np.ndarray:
+        """(n,) int64 sides met by rays from `side` (n,), -1 where they escape. `number` and `stream` pick the ray."""
+        origin, direction, normal = self.start(side, number, stream)
         triangle, tu, tv, _ = self.world.intersect(origin, direction)
 
         # A ray can slip through exactly at an edge: misses get a second chance a hair beside.

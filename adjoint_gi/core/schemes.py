@@ -169,6 +169,13 @@ class Southwell:
                 self.unshot[min(length, len(self.unshot) - 1)] += rho * light
         self.reached |= irradiance.any(axis=(0, 2))
 
+    def arrive_later(self, irradiance: np.ndarray) -> None:
+        """Take irradiance (n, 3) from outside that has flown more than one segment. Only for unbounded lengths."""
+        flux = (self.transport.area[:, None] * irradiance).sum(axis=0)
+        self.emitted = self.emitted + flux
+        self.total += float(flux.sum())
+        self._arrive(irradiance[None], 1)
+
     def unshot_flux(self) -> np.ndarray:
         """(n,) float64 flux in W that each side has still to send; absolute values, as overshooting makes some negative."""
         return self.transport.area * np.abs(self.unshot).sum(axis=(0, 2))
@@ -191,16 +198,15 @@ class Southwell:
             out[-1] += self._expected(index)
         self.unshot[:, index] -= out
         classes = len(out)
-        flat = out.transpose(1, 0, 2).reshape(len(index), 3 * classes)
         # Classes in which nobody has anything are not carried along.
-        used = np.flatnonzero(flat.any(axis=0))
-        arrived, escaped = self.transport.shoot(index, flat[:, used], rays)
-        full = np.zeros((len(self.direct), 3 * classes))
-        full[:, used] = arrived
-        lost = np.zeros(3 * classes)
-        lost[used] = escaped
-        self.escaped += lost.reshape(classes, 3).sum(axis=0)
-        self._arrive(full.reshape(-1, classes, 3).transpose(1, 0, 2), 0)
+        used = np.flatnonzero(out.any(axis=(1, 2)))
+        flat = out[used].transpose(1, 0, 2).reshape(len(index), 3 * len(used))
+        arrived, escaped = self.transport.shoot(index, flat, rays)
+        full = np.zeros((classes, len(self.direct), 3))
+        full[used] = arrived.reshape(-1, len(used), 3).transpose(1, 0, 2)
+        self.escaped += escaped.reshape(-1, 3).sum(axis=0)
+        self.absorbed += np.reshape(self.transport.other, (-1, 3)).sum(axis=0)
+        self._arrive(full, 0)
         self.shots += len(index)
 
     def _expected(self, index: np.ndarray) -> np.ndarray:

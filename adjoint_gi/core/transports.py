@@ -14,10 +14,14 @@ from .parallel import in_order
 
 
 class Transport:
-    """Base. area (n,) float64 m2, rho (n, 3) float64; fields are (n, c) float64 with c = 3, or 1 for grey ones."""
+    """Base. area (n,) float64 m2, rho (n, 3) float64; fields are (n, c) float64 with c = 3, or 1 for grey ones.
+
+    other (3,): flux in W of the last shot that surfaces took by other lobes than the diffuse one; 0 where there are none.
+    """
 
     area: np.ndarray
     rho: np.ndarray
+    other: np.ndarray = np.zeros(3)
 
     def gather(self, x: np.ndarray) -> np.ndarray:
         """F x: irradiance (n, c) from radiosity x (n, c)."""

@@ -1,0 +1,243 @@
+"""Progressive multi-pass method (Chen, Rushmeier, Miller and Turner 1991; review, section 9).
+
+Both strategies, both natures. First progressive radiosity shoots the light of all sources among the elements, over mirrors as well
+(extended form factors), which shows a complete picture almost at once. Then Monte Carlo passes refine it, sample by sample:
+
+    high frequencies    direct light, and all that mirrors and glossy surfaces show, by path tracing from the receivers
+    caustics            by those paths where they can meet the lamp; light of lamps without size by particles on the elements
+    low frequencies     diffuse surfaces are sampled, and the known radiosity is read only at the next diffuse surface, or later
+
+Receivers pass from the first answer to the second as their samples come in; the finished result holds the second alone.
+
+S. E. Chen, H. E. Rushmeier, G. Miller and D. Turner, "A Progressive Multi-Pass Method for Global Illumination", Computer Graphics
+(SIGGRAPH '91 Proceedings), 25(4), 1991, 165-174.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..adjoint_gi.core import bsdf
+from ..adjoint_gi.core.answer import ElementAnswer, Parts, elements_for
+from ..adjoint_gi.core.caustics import Caustics
+from ..adjoint_gi.core.chains import Chains
+from ..adjoint_gi.core.element_rays import ElementRays
+from ..adjoint_gi.core.elements import Elements
+from ..adjoint_gi.core.emitters import Emitters
+from ..adjoint_gi.core.errors import Notice
+from ..adjoint_gi.core.extended import ExtendedShots
+from ..adjoint_gi.core.gathering import BATCH, Run
+from ..adjoint_gi.core.known_light import KnownLight
+from ..adjoint_gi.core.parallel import thread_count
+from ..adjoint_gi.core.radiance import Walk
+from ..adjoint_gi.core.radiosity import LampLight, RadiositySettings, dark_notices, receiver_light
+from ..adjoint_gi.core.receivers import Receivers
+from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.schemes import NO_LIMIT, Southwell
+from ..adjoint_gi.core.settings import setting
+from ..adjoint_gi.core.solution import EnergyBalance, Solution, Step
+from ..adjoint_gi.core.view_pass import View, estimator
+from ..adjoint_gi.core.world import World
+from .progressive_radiosity import LARGEST_BATCH, balance, group
+
+TARGET = 4000  # elements where max_edge is chosen
+FIRST = 0.3  # share of the progress that radiosity takes
+PRIOR = 4.0  # samples that the first answer is worth at the start of the second pass
+
+
+@dataclass(frozen=True)
+class MultiPassSettings(RadiositySettings):
+    """Settings of the multi-pass method; the seed matters only to the second pass."""
+
+    direct_light: str = setting(
+        "receivers",
+        label="Partial Direct Light",
+        help="Where partial results have their direct light from until samples come in; the finished result has it from the receivers",
+        choices=(
+            ("receivers", "At Receivers", "At every texel, vertex or pixel: sharp shadows from the start, which is then a little later"),
+            ("elements", "On Elements", "On the elements: the first picture comes soonest"),
+        ),
+    )
+    rays: int = setting(
+        1_000_000,
+        label="Rays",
+        help="Rays that carry all emitted flux in the first pass; a shot takes its share of them, and never fewer than 8",
+        min=1,
+        max=2_000_000_000,
+        soft_max=100_000_000,
+    )
+    tolerance: float = setting(
+        1e-3, label="Tolerance", help="Unshot share of the emitted flux at which the first pass ends", min=0.0, max=1.0
+    )
+    max_shots: int = setting(
+        1_000_000, label="Max Shots", help="The first pass ends, and says so, after this many shots", min=1, max=2_000_000_000
+    )
+    depth: int = setting(16, label="Mirror Depth", help="Mirrors in a row that first-pass light goes over", min=0, max=256)
+    particles: int = setting(
+        200_000,
+        label="Caustic Particles",
+        help="Particles from lamps and background for their light on elements over mirrors; 0 leaves this light out",
+        min=0,
+        max=1_000_000_000,
+        soft_max=10_000_000,
+    )
+    samples: int = setting(
+        64, label="Samples", help="Second-pass samples of each texel, vertex or pixel", min=1, max=1 << 24, soft_max=4096
+    )
+    hops: int = setting(
+        1,
+        label="Traced Bounces",
+        help="Diffuse or rough surfaces in a row that are sampled before the known radiosity is read; more is slower and nearer to exact",
+        min=1,
+        max=64,
+        soft_max=4,
+    )
+
+
+@register
+class MultiPass(Solver):
+    """Progressive radiosity, refined by path tracing."""
+
+    spec = MethodSpec(
+        id="multi_pass",
+        number=12,
+        label="Progressive Multi-Pass",
+        strategies=(Strategy.SHOOTING, Strategy.GATHERING),
+        natures=(Nature.DETERMINISTIC, Nature.NONDETERMINISTIC),
+        year=1991,
+        authors="S. E. Chen, H. E. Rushmeier, G. Miller, D. Turner",
+        title="A Progressive Multi-Pass Method for Global Illumination",
+        equation="W = g + T* W first, then L = Le + T L  (4, then 2)",
+        section="9",
+        idea="Progressive radiosity gives a picture at once; path tracing then replaces what it cannot resolve, and reads it further off.",
+        limits=(
+            "Radiosity read at later surfaces is as exact as the elements are small: a small bias, less with more traced bounces",
+            "Caustics of lamps without size are as sharp as the elements are small",
+            "With bounded path lengths the second pass traces whole paths and reads no radiosity",
+            "Partial results of the first pass show mirrors as diffuse",
+        ),
+        lobes=bsdf.ALL_LOBES | {"emission"},
+        uses_elements=True,
+    )
+    Settings = MultiPassSettings
+
+    def memory(self, world: World, receivers: Receivers, settings: MultiPassSettings) -> int:
+        """Elements, rays under way, receivers in both passes and their points."""
+        own = getattr(receivers, "elements", None)
+        count = own.count if own is not None else Elements.planned(world, settings.max_edge, TARGET)
+        sides = 2 * 3 * 8 * (30 + settings.depth)
+        return count * (700 + sides) + 900 * LARGEST_BATCH + 1200 * receivers.count + 600 * BATCH * thread_count()
+
+    def solve(self, world: World, receivers: Receivers, settings: MultiPassSettings, rng: np.random.Generator) -> Iterator[Step]:
+        """Yield after every group of shots, then about ten times a second."""
+        emitters = Emitters(world)
+        elements = elements_for(world, receivers, settings.max_edge, TARGET)
+        run = Run(self.spec, world, receivers, settings, emitters)
+        blend = _Blend(run, elements, emitters)
+        # 1. Radiosity.
+        for share, text in blend.radiosity():
+            yield Step(FIRST * share, text, blend.solution)
+        # 2. Refinement.
+        walk = Walk(world, emitters, blend.chains.table, settings.min_length, settings.max_length)
+        view = View(walk, blend.known(), settings.hops if blend.reads else settings.max_length + 1, False, blend.unmet())
+        for step in run.steps(estimator(view), settings.samples, rng):
+            yield dataclasses.replace(step, fraction=FIRST + (1 - FIRST) * step.fraction, solution=blend.solution)
+
+
+class _Blend:
+    """The first pass, and its answer joined with that of the second."""
+
+    def __init__(self, run: Run, elements: Elements, emitters: Emitters) -> None:
+        self.run, self.elements, self.settings = run, elements, run.settings
+        s = run.settings
+        # Whole paths are traced where their length is bounded, as radiosity does not tell lengths apart.
+        self.reads = s.max_length >= NO_LIMIT and s.min_length <= 2
+        self.chains = Chains(run.world, s.depth)
+        self.lamps = LampLight(elements, emitters, s.light_samples)
+        self.caustics = Caustics(elements, emitters, self.chains, s.particles)
+        self.transport = ExtendedShots(ElementRays(elements), self.chains)
+        gather = receiver_light(run.world, emitters, s)
+        self.answer = ElementAnswer(elements, run.receivers, gather, s.min_length, s.max_length)
+        self.emitted = np.repeat(elements.emitted, 2, axis=0)
+        self.state = Southwell(self.transport, self.emitted, np.zeros_like(self.emitted))
+        self.parts: Parts | None = None
+
+    def radiosity(self) -> Iterator[tuple[float, str]]:
+        """Yield the share of the first pass done and what is being done."""
+        s, run = self.settings, self.run
+        for share in self.lamps.run():
+            yield 0.1 * share, "Light of lamps and background on elements"
+        for share in self.caustics.run():
+            yield 0.1 + 0.1 * share, "Light of lamps over mirrors"
+        run.warnings += dark_notices(self.elements, self.lamps.irradiance)
+        for share in self.answer.prepare():
+            yield 0.2 + 0.1 * share, f"Receivers, {share:.0%}"
+        # Light of lamps over mirrors is indirect; it comes in after the state has begun, as its second class.
+        self.state = state = Southwell(self.transport, self.emitted, self.lamps.irradiance)
+        state.arrive_later(self.caustics.total)
+        left = float(state.unshot_flux().sum())
+        while left > s.tolerance * state.total and state.shots < s.max_shots:
+            index, rays = group(state, s)
+            if not len(index):
+                break
+            state.shoot(index, rays)
+            left = float(state.unshot_flux().sum())
+            share = left / state.total
+            run.history.append((run.clock.seconds, share))
+            yield 0.3 + 0.7 * float(np.clip(1 - share, 0, 0.999)), f"{state.shots:,} shots, {share:.2%} of the light unshot"
+        if left > s.tolerance * state.total:
+            reason = f"radiosity stopped after {state.shots:,} shots with {left / state.total:.2%} of the light unshot"
+            run.warnings += (Notice(run.spec.label, reason, "Raise max_shots or the tolerance, or lower albedos that are close to 1"),)
+        # The second pass has an error of its own.
+        run.history.clear()
+        run.balance = self._balance()
+        run.rays += self.lamps.rays + self.caustics.rays + self.transport.count + self.answer.rays
+        self.parts = self.answer.parts(state.direct, state.indirect)
+
+    def _balance(self) -> EnergyBalance:
+        return balance(self.state)
+
+    def known(self) -> KnownLight:
+        """Irradiance of the elements for the second pass."""
+        light = self.state.direct, self.state.indirect
+        known = KnownLight(self.elements, lambda _: light, 0)
+        known.prepare()
+        return known
+
+    def unmet(self) -> KnownLight | None:
+        """Caustics that paths of the second pass cannot find."""
+        if not self.caustics.unmet.any():
+            return None
+        zero = np.zeros_like(self.caustics.unmet)
+        unmet = KnownLight(self.elements, lambda _: (zero, self.caustics.unmet), 0)
+        unmet.prepare()
+        return unmet
+
+    def solution(self) -> Solution:
+        """A copy of the result as it stands: the first answer, weighed against the samples that have come in."""
+        second = self.run.solution()
+        if not second.partial:
+            return second
+        parts = self.parts or self._now()
+        count = self.run.film.count.astype(np.float32)
+        prior = PRIOR * (1 - count / self.settings.samples)
+        share = (prior / np.maximum(prior + count, 1e-6))[:, None]
+
+        def mix(name: str) -> np.ndarray:
+            a, b = getattr(parts, name), getattr(second, name)
+            return (share * a + (1 - share) * b).astype(np.float32)
+
+        arrays = {name: mix(name) for name in ("emitted", "direct", "indirect", "albedo")}
+        weight = np.maximum(parts.weight, second.weight)
+        rays = second.rays if self.parts else self.lamps.rays + self.caustics.rays + self.transport.count + self.answer.rays
+        return dataclasses.replace(second, **arrays, weight=weight, rays=rays, balance=self._balance(), extra=parts.extra | second.extra)
+
+    def _now(self) -> Parts:
+        """The first answer with an estimate for the light that has not been shot yet."""
+        state = self.state
+        direct = state.direct if state.total else self.lamps.irradiance
+        return self.answer.parts(direct, state.indirect + state.reached[:, None] * state.ambient())

@@ -1,0 +1,218 @@
+"""Two-pass method (Wallace, Cohen and Greenberg 1987; Sillion and Puech 1989; review, section 5.2, after Eq. 11).
+
+Gathering, deterministic in its first pass and not in its second. First, the radiosity of the diffuse parts of all surfaces,
+
+    B(i) = E(i) + rho(i) sum_j Fext(ij) B(j)                                                  (11, with extended form factors)
+
+where Fext(ij) counts what i sees of j straight and over any number of mirrors, panes of glass and glossy surfaces. It is found by
+tracing: rays of an element that meet such a surface go on by its BSDF. Light of lamps that comes over mirrors (caustics) is traced
+from the lamps onto the elements. Second, a view pass: mirrors and glossy surfaces that a receiver sees, directly or over others, are
+sampled by their BSDF, and the diffuse surfaces that these rays meet have the radiosity that the first pass found.
+
+J. R. Wallace, M. F. Cohen and D. P. Greenberg, "A Two-Pass Solution to the Rendering Equation: A Synthesis of Ray Tracing and Radiosity
+Methods", SIGGRAPH 1987, 311-320. F. X. Sillion and C. Puech, "A General Two-Pass Method Integrating Specular and Diffuse Reflection",
+SIGGRAPH 1989, 335-344.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..adjoint_gi.core import bsdf
+from ..adjoint_gi.core.answer import elements_for
+from ..adjoint_gi.core.caustics import Caustics
+from ..adjoint_gi.core.chains import Chains
+from ..adjoint_gi.core.element_rays import ElementRays
+from ..adjoint_gi.core.elements import Elements
+from ..adjoint_gi.core.emitters import Emitters
+from ..adjoint_gi.core.errors import Notice
+from ..adjoint_gi.core.extended import ExtendedTransport
+from ..adjoint_gi.core.gathering import BATCH, Run
+from ..adjoint_gi.core.known_light import KnownLight, lengths_of
+from ..adjoint_gi.core.parallel import thread_count
+from ..adjoint_gi.core.radiance import Walk
+from ..adjoint_gi.core.radiosity import LampLight, RadiositySettings, dark_notices
+from ..adjoint_gi.core.receivers import Receivers
+from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.schemes import NO_LIMIT, jacobi
+from ..adjoint_gi.core.settings import setting
+from ..adjoint_gi.core.solution import Step
+from ..adjoint_gi.core.view_pass import View, estimator
+from ..adjoint_gi.core.world import World
+
+TARGET = 3000  # elements where max_edge is chosen
+FIRST = 0.4  # share of the progress that the first pass takes
+
+
+@dataclass(frozen=True)
+class TwoPassSettings(RadiositySettings):
+    """Settings of the two-pass method; the seed matters only to the view pass."""
+
+    rays: int = setting(
+        256, label="Rays per Element", help="Rays that find the extended form factors of each element", min=1, max=1 << 20, soft_max=16384
+    )
+    depth: int = setting(
+        16, label="Mirror Depth", help="Mirrors, panes and glossy surfaces in a row that first-pass light goes over", min=0, max=256
+    )
+    rough: bool = setting(
+        True,
+        label="Rough Lobes in First Pass",
+        help="First-pass light goes over rough glossy lobes as well; off, only over perfect mirrors and clear glass",
+    )
+    particles: int = setting(
+        200_000,
+        label="Caustic Particles",
+        help="Particles from lamps and background for their light on elements over mirrors; 0 leaves this light out",
+        min=0,
+        max=1_000_000_000,
+        soft_max=10_000_000,
+    )
+    tolerance: float = setting(
+        1e-5, label="Tolerance", help="Relative change of the irradiance at which the first pass is solved", min=0.0, max=1.0
+    )
+    max_iterations: int = setting(
+        500, label="Max Iterations", help="The first pass gives up, and says so, after this many", min=1, max=100_000
+    )
+    samples: int = setting(32, label="Samples", help="View-pass samples of each texel, vertex or pixel", min=1, max=1 << 24, soft_max=1024)
+    gather: bool = setting(
+        False,
+        label="Gather Diffuse Light",
+        help="Diffuse surfaces that receivers see are sampled, too, instead of read from the elements: finer, but with noise",
+    )
+
+
+@register
+class TwoPass(Solver):
+    """Extended radiosity, then a view pass."""
+
+    spec = MethodSpec(
+        id="two_pass",
+        number=5,
+        label="Two-Pass",
+        strategies=(Strategy.GATHERING,),
+        natures=(Nature.DETERMINISTIC, Nature.NONDETERMINISTIC),
+        year=1987,
+        authors="J. R. Wallace, M. F. Cohen, D. P. Greenberg; F. X. Sillion, C. Puech",
+        title="A Two-Pass Solution to the Rendering Equation: A Synthesis of Ray Tracing and Radiosity Methods",
+        equation="B(i) = E(i) + rho(i) sum_j Fext(ij) B(j)  (11, extended)",
+        section="5.2",
+        idea="Radiosity with form factors that count mirrors, then rays from the eye over mirrors to the known diffuse surfaces.",
+        limits=(
+            "Indirect shadows and caustics are as sharp as the elements are small; caustics of lamps have the noise of their particles",
+            "Extended form factors are shares of rays: each element has an error of its own",
+            "Below a coat the light of the first pass is taken as coming from all sides alike",
+            "Memory grows with elements times rays per element",
+        ),
+        lobes=bsdf.ALL_LOBES | {"emission"},
+        uses_elements=True,
+    )
+    Settings = TwoPassSettings
+
+    def memory(self, world: World, receivers: Receivers, settings: TwoPassSettings) -> int:
+        """Chains of all element sides, irradiance by length where lengths are bounded, receivers and batches under way."""
+        own = getattr(receivers, "elements", None)
+        count = own.count if own is not None else Elements.planned(world, settings.max_edge, TARGET)
+        mirrors = any(x.kind in bsdf.KINDS for m in world.scene.materials for x in m.lobes)
+        kept = 2 if mirrors else 1  # chains meet about one diffuse surface; mixed surfaces more
+        fields = (settings.max_length if settings.max_length < NO_LIMIT else settings.min_length) + 4
+        chains = 2 * count * settings.rays * 36 * kept
+        sums = 2 * count * 3 * 8 * (2 * fields + settings.depth + 12) + 700 * count + receivers.count * 400
+        return chains + sums + 600 * BATCH * thread_count()
+
+    def solve(self, world: World, receivers: Receivers, settings: TwoPassSettings, rng: np.random.Generator) -> Iterator[Step]:
+        """Yield through both passes; pictures begin with the second."""
+        emitters = Emitters(world)
+        elements = elements_for(world, receivers, settings.max_edge, TARGET)
+        run = Run(self.spec, world, receivers, settings, emitters)
+        first = FirstPass(elements, emitters, settings, receivers.measure == "irradiance")
+        for share, text in first.run():
+            yield Step(FIRST * share, text, run.solution)
+        run.rays += first.rays
+        run.warnings += first.warnings
+
+        known = first.known()
+        known.prepare()
+        unmet = None
+        if settings.gather and first.caustics.unmet.any():
+            zero = np.zeros_like(first.caustics.unmet)
+            unmet = KnownLight(elements, lambda _: (zero, first.caustics.unmet), 0)
+            unmet.prepare()
+        walk = Walk(world, emitters, first.chains.table, settings.min_length, settings.max_length)
+        estimate = estimator(View(walk, known, int(settings.gather), settings.direct_light == "receivers", unmet))
+        for step in run.steps(estimate, settings.samples, rng):
+            yield dataclasses.replace(step, fraction=FIRST + (1 - FIRST) * step.fraction)
+
+
+class FirstPass:
+    """Extended radiosity of the elements.
+
+    chains, caustics, transport; by_length: irradiance (2 ne, 3) of each length that had to be told apart; total of all, or None
+    """
+
+    def __init__(self, elements: Elements, emitters: Emitters, settings: TwoPassSettings, all_sides: bool) -> None:
+        self.elements, self.settings, self.all_sides = elements, settings, all_sides
+        self.chains = Chains(elements.world, settings.depth, settings.rough)
+        self.lamps = LampLight(elements, emitters, settings.light_samples)
+        self.caustics = Caustics(elements, emitters, self.chains, settings.particles)
+        self.transport = ExtendedTransport(ElementRays(elements), self.chains, settings.rays)
+        self.warnings: tuple[Notice, ...] = ()
+        self.total: np.ndarray | None = None
+
+    @property
+    def rays(self) -> int:
+        """Cast so far."""
+        return self.lamps.rays + self.caustics.rays + self.transport.count
+
+    def run(self) -> Iterator[tuple[float, str]]:
+        """Yield the share done and what is being done."""
+        s, t = self.settings, self.transport
+        # 1. Light of lamps and background, straight and over mirrors.
+        for share in self.lamps.run():
+            yield 0.2 * share, "Light of lamps and background on elements"
+        for share in self.caustics.run():
+            yield 0.2 + 0.2 * share, "Light of lamps over mirrors"
+        self.warnings += dark_notices(self.elements, self.lamps.irradiance)
+        # 2. Extended form factors of the sides that reflect diffusely, or that are asked for.
+        sides = np.arange(len(t.area)) if self.all_sides else np.flatnonzero(t.rho.max(axis=1) > 0)
+        for share in t.build(sides):
+            yield 0.4 + 0.5 * share, f"Extended form factors of {len(sides):,} element sides"
+        # 3. What arrives of light that no diffuse surface has reflected yet, by length.
+        arriving = [np.zeros_like(t.rho), self.lamps.irradiance + t.through(t.emitted, t.rows[1], emitted=True)]
+        for length in range(2, len(t.rows)):
+            light = t.through(t.emitted, t.rows[length], emitted=True)
+            if length < len(self.caustics.by_length):
+                light = light + self.caustics.by_length[length]
+            arriving.append(light)
+            yield 0.9, "Light over mirrors"
+        self.first = arriving[1]
+        # 4. The lengths that must be told apart, by the convolution of shorter ones with the chains.
+        bounded = s.max_length < NO_LIMIT
+        self.by_length = [np.zeros_like(self.first)]
+        for length in range(1, (s.max_length if bounded else s.min_length - 1) + 1):
+            light = arriving[length].copy() if length < len(arriving) else np.zeros_like(self.first)
+            for segments in range(1, min(length - 1, len(t.rows) - 1) + 1):
+                rows = t.rows[segments]
+                if rows.stop > rows.start:
+                    light += t.through(t.rho * self.by_length[length - segments], rows)
+            self.by_length.append(light)
+            yield 0.9, f"Paths of length {length}"
+        # 5. All lengths together.
+        if bounded:
+            return
+        zero, residual = np.zeros_like(self.first), 1.0
+        for number, iterate in enumerate(jacobi(t, zero, sum(arriving), s.tolerance, s.max_iterations), 1):
+            self.total, residual = iterate.irradiance, iterate.residual
+            yield 0.95, f"Iteration {number}, residual {residual:.1e}"
+        if residual > s.tolerance:
+            reason = f"the first pass stopped after {s.max_iterations} iterations at a relative change of {residual:.1e}"
+            self.warnings += (Notice("Two-Pass", reason, "Raise max_iterations or the tolerance, or lower albedos that are close to 1"),)
+
+    def known(self) -> KnownLight:
+        """What was found, for the view pass."""
+        s = self.settings
+        most = s.max_length if self.total is None else max(0, s.min_length - 1)
+        return KnownLight(self.elements, lengths_of(self.by_length, self.total, self.first, s.min_length, s.max_length), most)
