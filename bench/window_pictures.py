@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures of the panel in each state and of a baked Cornell box, made in the window of a real Blender.
 
-    python bench/window_pictures.py [--out docs/pictures] [--blender PROGRAM] [--zip FILE]
+    python bench/window_pictures.py [--out docs/pictures] [--blender PROGRAM] [--zip FILE] [--methods]
 
 Builds the extension's zip (or takes FILE), installs it into an empty user folder, starts Blender with a window and lets
 `window_session.py` work there as a person would. Needs a Python with the bpy wheel, as `python dev.py test` makes it in .venv,
@@ -52,6 +52,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "pictures", help="folder for the pictures")
     parser.add_argument("--blender", help="program to use")
     parser.add_argument("--zip", type=Path, help="zip of the extension; built when not given")
+    parser.add_argument("--methods", action="store_true", help="also a picture of the panel for each method")
     arguments = parser.parse_args()
     blender = find_blender(arguments.blender)
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -68,6 +69,7 @@ def main() -> int:
         subprocess.run([blender, "--factory-startup", *install], env=environment, timeout=300, check=True, stdin=subprocess.DEVNULL)
         session = str(ROOT / "bench" / "window_session.py")
         command = [blender, "--factory-startup", "--python-exit-code", "1", "--python", session, "--", str(arguments.out.resolve())]
+        command += ["--methods"] if arguments.methods else []
         done = subprocess.run(command, env=environment, timeout=SECONDS, stdin=subprocess.DEVNULL, capture_output=True, text=True)
         ended = time.time()
     print(done.stdout)

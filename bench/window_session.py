@@ -18,6 +18,7 @@ import numpy as np
 
 EXTENSION = "bl_ext.user_default.adjoint_gi"
 OUT = Path(sys.argv[sys.argv.index("--") + 1])
+METHODS = "--methods" in sys.argv
 PAUSE = 0.6  # seconds for Blender to draw what has changed
 LIMIT = 120.0  # seconds that any state may take
 
@@ -127,7 +128,7 @@ def session():
     for obj in scene.objects:
         obj.select_set(obj.type == "MESH")
     yield PAUSE
-    for method in [m.spec.id for m in module("adjoint_gi.core.registry").methods()]:
+    for method in [m.spec.id for m in module("adjoint_gi.core.registry").methods()] if METHODS else []:
         state.method = method
         yield 4 * PAUSE
         save_panel(f"method_{method}")
@@ -191,6 +192,7 @@ def session():
     yield from wait(lambda: not bpy.app.is_job_running("RENDER"))
     bpy.data.images["Render Result"].save_render(str(OUT / "render.png"))
     area.ui_type = "PROPERTIES"
+    yield PAUSE
     area.spaces.active.context = "RENDER"
     yield 2 * PAUSE
     save_area("render_properties", area)

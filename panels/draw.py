@@ -29,15 +29,19 @@ def choice(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def taxonomy(layout: bpy.types.UILayout, context: bpy.types.Context, spec: MethodSpec) -> None:
-    """Year, authors, equation, idea, and after a cross what it cannot do; read only."""
+    """Year, authors, equation, idea and what it cannot do; read only."""
     column = layout.box().column(align=True)
     text.label(column, context, f"{spec.authors}, {spec.year}", "USER", 1)
     text.label(column, context, spec.equation, "CON_TRANSFORM", 1)
     column.separator(factor=0.5)
     text.label(column, context, spec.idea, "INFO", 1)
-    column.separator(factor=0.5)
-    for limit in spec.limits:
-        text.label(column, context, limit, "X", 1)
+    # Long lists can be folded, so that what follows stays in sight.
+    header, body = layout.panel("ADJOINTGI_limits")
+    header.label(text="Cannot Do")
+    if body:
+        column = body.column(align=True)
+        for limit in spec.limits:
+            text.label(column, context, limit, "X")
 
 
 def settings(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -72,7 +76,7 @@ def field(layout: bpy.types.UILayout, data: bpy.types.PropertyGroup, name: str) 
     """One property with its name on the left. Names of settings are long: they get half of the width, not Blender's two fifths."""
     item = data.bl_rna.properties[name]
     switch = item.type == "BOOLEAN"
-    split = layout.split(factor=0.4 if switch else 0.52)
+    split = layout.split(factor=0.12 if switch else 0.52)
     left = split.row()
     left.alignment = "RIGHT"
     left.label(text="" if switch else item.name)

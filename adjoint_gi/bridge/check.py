@@ -83,8 +83,8 @@ def refresh() -> None:
         full = started >= _Cache.full_time
         found = _check(context, request, full)
     if full:
-        now = time.monotonic()
-        _Cache.full_time = now + (now - started) / SHARE
+        ended = time.monotonic()
+        _Cache.full_time = ended + (ended - started) / SHARE
     changed = (found, scene) != (_Cache.notices, _Cache.scene)
     _Cache.request, _Cache.notices, _Cache.scene, _Cache.dirty = request, found, scene, not full
     if changed:

@@ -26,6 +26,9 @@ class Layout:
 
     use_property_split = property(lambda self: None, lambda self, on: None)
 
+    def panel(self, name, default_closed=False):
+        return self, self
+
     def separator(self, factor=1.0):
         pass
 
