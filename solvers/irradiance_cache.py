@@ -84,6 +84,7 @@ class IrradianceCache(Solver):
             "Interpolation leaves smooth blotches where rays are few; they fall with Accuracy and Rays together",
         ),
         lobes=frozenset({"diffuse", "emission"}),
+        allowance=0.02,
     )
     Settings = CacheSettings
 

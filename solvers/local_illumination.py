@@ -81,6 +81,7 @@ class LocalIllumination(Solver):
             "Light of the world arrives only through the ambient radiance",
         ),
         lobes=frozenset({"diffuse", "emission", "glossy", "metallic", "specular"}),
+        leaves_out="interreflection",
     )
     Settings = LocalSettings
 

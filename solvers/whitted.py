@@ -100,6 +100,7 @@ class Whitted(Solver):
             "Light of the world is seen in mirrors and through glass, and arrives on other surfaces only through the ambient radiance",
         ),
         lobes=bsdf.ALL_LOBES | {"emission"},
+        leaves_out="diffuse interreflection and caustics",
     )
     Settings = WhittedSettings
 

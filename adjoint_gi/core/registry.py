@@ -51,6 +51,9 @@ class MethodSpec:
     lobes: frozenset[str]  # BSDF lobes solved as they are; others are replaced and warned about
     uses_elements: bool = False
     receivers: tuple[str, ...] = ("texels", "vertices", "camera", "elements")
+    answers: str = "light"  # or "potential": then its solutions have that measure for all receivers
+    leaves_out: str = ""  # light that it leaves out by design, so that it differs from the others there
+    allowance: float | None = None  # relative error of an object's flux at default settings; None: as for all methods on elements, else 0
 
 
 class Solver:

@@ -1,0 +1,294 @@
+"""Whether methods agree: flux of receiver objects by both equations, and differences with their statistical significance.
+
+    Phi = <L, g>     (Eq. 3)  from the irradiance that a method has found, summed over the areas of the receivers
+    Phi = <W, Le>    (Eq. 4)  by particles from all lights (Eq. 15): what arrives at the object, whatever the receivers are
+
+g is the irradiance at the receivers of an object: 1 for light that arrives on the sides that they stand on. Fluxes are sums of the
+three colours, in W. Random methods are repeated with other seeds; the spread gives standard errors. Deterministic ones have none,
+but elements are not small: their flux may be off by an allowance, which each method states. A difference counts when what is left of it
+beyond the allowances is significant after Sidak's correction for the number of comparisons, by Welch's t test.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .bsdf import BsdfTable
+from .emission import Emission
+from .receivers import Receivers
+from .registry import MethodSpec
+from .walks import Hits, walk
+from .world import World
+
+ALPHA = 0.01  # a comparison of methods that all agree cries wolf once in a hundred times
+ELEMENTS = 0.03  # allowance of methods on elements that state none: relative error of an object's flux
+DARK = 0.01  # the same, as a share of the mean flux per area: a small leak into a dark object is no disagreement
+TEXELS = 0.005  # share of the flux that differs between the receivers' points and the whole object
+ROUNDING = 1e-5  # float32 sums
+BATCH = 1 << 14
+
+
+@dataclass(frozen=True, eq=False)
+class Groups:
+    """Receivers by object: names; `object` (g,) index in the scene; `owner` (n,) group of each receiver, -1 for none; `weight` (n,) m2.
+
+    `area` (g,) m2 of each group. For a camera weights are shares of the picture and fluxes are mean radiances.
+    """
+
+    names: tuple[str, ...]
+    object: np.ndarray
+    owner: np.ndarray
+    weight: np.ndarray
+    unit: str = "W"
+
+    @property
+    def area(self) -> np.ndarray:
+        """(g,) summed weights."""
+        on = self.owner >= 0
+        return np.bincount(self.owner[on], self.weight[on], len(self.names))
+
+    def flux(self, values: np.ndarray) -> np.ndarray:
+        """(g,) float64 flux of `values` (n, 3), colours summed."""
+        on = self.owner >= 0
+        each = self.weight[on] * np.asarray(values, np.float64)[on].sum(axis=1)
+        return np.bincount(self.owner[on], each, len(self.names))
+
+
+def groups_of(world: World, receivers: Receivers) -> Groups:
+    """The receivers by the object that they stand on, weighted so that those of an object together have its area.
+
+    A point stands for its share of its triangle; triangles without a point are made up for by the others of their object.
+    """
+    objects = np.asarray(world.scene.object, np.int64)
+    n, count = receivers.count, len(world.scene.objects)
+    if receivers.measure == "radiance":
+        return _camera_groups(world, receivers, objects)
+    points = list(receivers.sites())
+    triangle = np.concatenate([p.triangle for p in points])
+    receiver = np.concatenate([p.receiver for p in points])
+    share = world.area[triangle] / np.bincount(triangle, minlength=world.triangle_count)[triangle]
+    weight = np.bincount(receiver, share, n)
+    # The object in which most of a receiver lies.
+    owner = np.full(n, -1, np.int64)
+    best = np.zeros(n)
+    for index in np.unique(objects[triangle]):
+        mine = np.bincount(receiver, share * (objects[triangle] == index), n)
+        owner[mine > best] = index
+        best = np.maximum(best, mine)
+    present = np.unique(owner[owner >= 0])
+    total = np.bincount(objects, world.area, count)
+    # Elements answer for both sides, texels and vertices for the front.
+    sides = 2 if receivers.kind == "elements" else 1
+    have = np.bincount(np.maximum(owner, 0), np.where(owner >= 0, weight, 0), count)
+    scale = sides * total[np.maximum(owner, 0)] / np.maximum(have[np.maximum(owner, 0)], 1e-300)
+    place = np.full(count + 1, -1, np.int64)
+    place[present] = np.arange(len(present))
+    return Groups(tuple(world.scene.objects[i].name for i in present), present, place[owner], weight * scale)
+
+
+def _camera_groups(world: World, receivers: Receivers, objects: np.ndarray) -> Groups:
+    """Pixels by the object that most of their rays see."""
+    n = receivers.count
+    count = len(world.scene.objects)
+    seen = np.zeros((n, count + 1), np.int32) if n * (count + 1) < 5e7 else None
+    owner = np.full(n, count, np.int64)
+    for p in receivers.sites():
+        found = np.where(p.triangle >= 0, objects[p.triangle], count)
+        if seen is None:
+            owner[p.receiver] = found
+        else:
+            seen += np.bincount(p.receiver * (count + 1) + found, minlength=seen.size).reshape(seen.shape).astype(np.int32)
+    if seen is not None:
+        owner = seen.argmax(axis=1)
+    present = np.unique(owner[owner < count])
+    place = np.full(count + 1, -1, np.int64)
+    place[present] = np.arange(len(present))
+    names = tuple(world.scene.objects[i].name for i in present)
+    return Groups(names, present, place[owner], np.full(n, 1.0 / n), "W m-2 sr-1, mean over the picture")
+
+
+@dataclass(frozen=True, eq=False)
+class ShotFlux:
+    """<W, Le> of every group and its standard error, (g,) float64 W, from `batches` of particles; rays cast and seconds taken."""
+
+    value: np.ndarray
+    error: np.ndarray
+    batches: int
+    rays: int
+
+
+def shoot(world: World, groups: Groups, both_sides: bool, max_length: int, seed: int, least: int = 16) -> Iterator[ShotFlux | None]:
+    """Flux that arrives at the groups by Eq. 15, better with every batch; yields without an end (None before two batches)."""
+    emission = Emission(world)
+    table = BsdfTable(world.scene)
+    table = None if table.only_diffuse else table
+    place = np.full(len(world.scene.objects), -1, np.int64)
+    place[groups.object] = np.arange(len(groups.names))
+    group = place[np.asarray(world.scene.object, np.int64)]
+    g, k, rays = len(groups.names), 0, 0
+    total, squares = np.zeros(g), np.zeros(g)
+    none = np.zeros(g)
+    while True:
+        if emission.is_dark:
+            yield ShotFlux(none, none, least, 0)
+            continue
+        here = np.zeros(g)
+
+        def visit(hits: Hits, here: np.ndarray = here) -> None:
+            at = group[hits.surface.triangle]
+            on = (at >= 0) & (both_sides | (hits.surface.side > 0))
+            here += np.bincount(at[on], hits.arriving[on].sum(axis=1, dtype=np.float64), g)
+
+        rng = np.random.Generator(np.random.SFC64([seed, 15, k]))
+        rays += walk(world, emission.draw(BATCH, rng), max_length, rng, visit, table).rays
+        k += 1
+        total += here
+        squares += here**2
+        if k < 2:
+            yield None
+            continue
+        spread = np.sqrt(np.maximum(squares - total**2 / k, 0) / (k - 1) / k)
+        yield ShotFlux(total / k, spread, k, rays)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Fluxes of one method: value and standard error (g,), `freedom` of the error (0 where it is exact), relative allowance."""
+
+    method: str
+    label: str
+    value: np.ndarray
+    error: np.ndarray
+    freedom: int
+    allowance: float
+    leaves_out: str = ""
+    notes: tuple[str, ...] = ()  # replaced lobes
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Of two methods at one object: relative difference, its t beyond the allowances, and p after Sidak's correction."""
+
+    first: str
+    second: str
+    object: str
+    relative: float
+    t: float
+    p: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether chance does not explain it."""
+        return self.p < ALPHA
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """`differences` holds the worst object of every pair; `gaps` (m, g) relative differences between Eq. 3 by method and Eq. 4."""
+
+    groups: Groups
+    methods: tuple[Measured, ...]
+    shot: ShotFlux | None
+    gaps: np.ndarray | None
+    differences: tuple[Difference, ...]
+    lines: tuple[str, ...]
+
+    @property
+    def agrees(self) -> bool:
+        """Whether no line says that two methods disagree."""
+        return not any(line.startswith("DISAGREE") for line in self.lines)
+
+
+def allowance_of(spec: MethodSpec) -> float:
+    """The relative error that a method states for the flux of an object at its default settings."""
+    if spec.allowance is not None:
+        return spec.allowance
+    return ELEMENTS if spec.uses_elements else 0.0
+
+
+def agreement(groups: Groups, methods: Sequence[Measured], shot: ShotFlux | None) -> Agreement:
+    """Compare all pairs of methods, and all methods with Eq. 4, object by object."""
+    sides = list(methods)
+    if shot is not None:
+        sides.append(Measured("", "Eq. 4", shot.value, shot.error, shot.batches - 1, TEXELS))
+    # Mean flux per area, from which an object counts as dark.
+    middle = np.median([m.value.sum() for m in sides]) / max(groups.area.sum(), 1e-300) if sides else 0.0
+    floor = DARK * middle * groups.area
+    pairs = [(a, b) for i, a in enumerate(sides) for b in sides[i + 1 :]]
+    tests = max(1, len(pairs) * len(groups.names))
+    worst = [d for a, b in pairs if (d := _worst(a, b, groups, floor, tests)) is not None]
+    gaps = None
+    if shot is not None and methods:
+        scale = np.maximum(np.abs(shot.value), np.maximum(floor, 1e-300))
+        gaps = np.stack([(m.value - shot.value) / scale for m in methods])
+    by_label = {m.label: m for m in sides}
+    return Agreement(groups, tuple(methods), shot, gaps, tuple(worst), _lines(worst, by_label))
+
+
+def _worst(a: Measured, b: Measured, groups: Groups, floor: np.ndarray, tests: int) -> Difference | None:
+    """The most significant difference of two methods."""
+    if not len(groups.names):
+        return None
+    difference = a.value - b.value
+    size = np.maximum(0.5 * (np.abs(a.value) + np.abs(b.value)), 1e-300)
+    allowed = (a.allowance + b.allowance + ROUNDING) * size + floor * (a.allowance + b.allowance > 0)
+    beyond = np.maximum(np.abs(difference) - allowed, 0.0)
+    variance = a.error**2 + b.error**2
+    t = beyond / np.sqrt(np.maximum(variance, (1e-9 * size) ** 2))
+    freedom = _welch(a, b, variance)
+    p = np.array([1 - (1 - min(1.0, two_sided(x, f))) ** tests for x, f in zip(t, freedom, strict=True)])
+    # The smallest p; among those that chance explains anyway, the largest relative difference.
+    k = int(np.lexsort((-np.abs(difference) / np.maximum(size, floor + 1e-300), p))[0])
+    return Difference(a.label, b.label, groups.names[k], float(difference[k] / max(size[k], floor[k], 1e-300)), float(t[k]), float(p[k]))
+
+
+def _welch(a: Measured, b: Measured, variance: np.ndarray) -> np.ndarray:
+    """(g,) degrees of freedom of a difference (Welch and Satterthwaite), infinite where neither is random."""
+    below = np.zeros(len(variance))
+    for m in (a, b):
+        if m.freedom > 0:
+            below += m.error**4 / m.freedom
+    return np.where(below > 0, variance**2 / np.maximum(below, 1e-300), np.inf)
+
+
+def two_sided(t: float, freedom: float) -> float:
+    """Probability that |Student's t| exceeds `t`. In the angle phi with cot phi = t / sqrt(freedom) the density is sin^(freedom - 1)."""
+    if t <= 0:
+        return 1.0
+    if not math.isfinite(freedom) or freedom > 1e5:
+        return math.erfc(t / math.sqrt(2))
+    x, w = np.polynomial.legendre.leggauss(64)
+
+    def integral(top: float) -> float:
+        phi = 0.5 * top * (x + 1)
+        return float(0.5 * top * (w * np.sin(phi) ** (freedom - 1)).sum())
+
+    return min(1.0, integral(math.atan2(math.sqrt(freedom), t)) / integral(0.5 * math.pi))
+
+
+def _lines(differences: Sequence[Difference], methods: dict[str, Measured]) -> tuple[str, ...]:
+    """What the differences mean, the loud lines first."""
+    loud, known = [], []
+    for d in differences:
+        if not d.significant:
+            continue
+        a, b = methods[d.first], methods[d.second]
+        said = f"{d.first} and {d.second} differ by {100 * abs(d.relative):.2g} % on {d.object}, {_chance(d.p)}"
+        reasons = [f"{m.label} leaves out {m.leaves_out}" for m in (a, b) if m.leaves_out]
+        reasons += [f"{m.label} replaces lobes ({'; '.join(m.notes)})" for m in (a, b) if m.notes]
+        if reasons:
+            known.append(f"Differs as stated: {said}: {'; '.join(reasons)}.")
+        else:
+            loud.append(f"DISAGREE: {said}.")
+    if not loud and differences:
+        fine = sum(not d.significant for d in differences)
+        loud.append(f"Agree: {fine} of {len(differences)} pairs differ by no more than noise and their stated allowances.")
+    return tuple(loud + known)
+
+
+def _chance(p: float) -> str:
+    return "which noise does not explain" if p < 1e-12 else f"by chance once in {1 / p:,.0f} comparisons like this one"
