@@ -24,7 +24,7 @@ from ..adjoint_gi.core import bsdf
 from ..adjoint_gi.core.answer import elements_for
 from ..adjoint_gi.core.directional_answer import DirectionalAnswer, Light
 from ..adjoint_gi.core.directional_rays import ArrivingLight, DirectionalRays, Sink
-from ..adjoint_gi.core.directional_transport import DirectionalTransport, bytes_needed
+from ..adjoint_gi.core.directional_transport import DirectionalTransport, bytes_needed, pairs_needed
 from ..adjoint_gi.core.directions import Bins
 from ..adjoint_gi.core.elements import Elements
 from ..adjoint_gi.core.emitters import Emitters
@@ -135,7 +135,7 @@ class _Run:
         self.emitters = Emitters(world)
         self.caster = DirectionalRays(self.elements)
         self.bins = Bins(settings.bin_rows, settings.bin_columns)
-        self.scattering = Scattering(self.elements, bsdf.BsdfTable(world.scene), self.bins)
+        self.scattering = Scattering(self.elements, bsdf.BsdfTable(world.scene), self.bins, pairs_needed(self.bins.size))
         self.transport = DirectionalTransport(self.caster, self.bins, self.scattering, settings.rays)
         self.answer = DirectionalAnswer(self.caster, receivers, self.emitters, settings, self.scattering)
         self.lamps = ArrivingLight(self.caster, self.emitters, settings.light_samples, background=False)
@@ -147,7 +147,9 @@ class _Run:
 
     def steps(self) -> Iterator[Step]:
         receivers_end, lamps_end, rays_end = STAGES
-        # 1. Where the receivers lie on the elements, and direct light at them.
+        # 1. Scattering matrices; where the receivers lie on the elements, and direct light at them.
+        for _ in self.scattering.prepare():
+            yield from self._pause(0.0, "Scattering between direction bins")
         for share in self.answer.prepare():
             yield from self._pause(receivers_end * share, "Receivers and direct light")
         # 2. Light of lamps, by bins.

@@ -142,7 +142,9 @@ class SphericalHarmonics(Solver):
                 partial=partial,
             )
 
-        # 1. Where the receivers lie on the elements, and direct light at them.
+        # 1. BRDFs in harmonics; where the receivers lie on the elements, and direct light at them.
+        for share in scattering.prepare():
+            yield step(0.0, f"Materials in harmonics, {share:.0%}")
         for share in answer.prepare():
             yield step(0.0, f"Receivers and direct light, {share:.0%}")
         # 2. Lamps and background are shot first.

@@ -15,6 +15,7 @@ from .directional_rays import DirectionalRays
 from .directions import Bins
 from .element_rays import BATCH, shifted_points
 from .parallel import in_order
+from .scatter_pairs import PAIRS
 from .scattering import Scattering
 
 BLOCK = 1 << 17  # rays that are summed at once
@@ -197,6 +198,12 @@ def x_shape(transport: DirectionalTransport) -> tuple[int, int, int]:
     return transport.count, transport.bins.size, 3
 
 
+def pairs_needed(bins: int) -> int:
+    """Pairs of directions from which the scattering between so many bins is counted."""
+    return min(max(PAIRS, 64 * bins), 1 << 20)
+
+
 def bytes_needed(sides: int, bins: int, rays: int, parts: int) -> int:
     """Memory of the rays, both ways, of the fields, and of `parts` scattering matrices with what it takes to make them."""
-    return sides * bins * (12 * rays + 9 * 24) + parts * 4 * 8 * bins * bins + (96 << 20)
+    matrices = (parts + 3) * 4 * 8 * bins * bins + 400 * pairs_needed(bins) if parts else 0
+    return sides * bins * (12 * rays + 9 * 24) + matrices + (64 << 20)

@@ -41,7 +41,6 @@ class HarmonicShooting:
         self.emitted, self.absorbed, self.escaped, self.cut = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
         self.count = self.shots = 0
         self._used = np.zeros(n, np.int64)
-        self._needs_all = np.repeat(scattering.shiny, 2)
 
     @property
     def total(self) -> float:
@@ -149,7 +148,7 @@ class HarmonicShooting:
         sums = np.stack([np.bincount(met, flux[:, k], n) for k in range(columns)], axis=1)
         moments[:, 0] = sums / area / np.sqrt(2 * np.pi)
         # Plainly diffuse elements do not ask for the direction.
-        which = np.flatnonzero(self._needs_all[met])
+        which = np.flatnonzero(self.scattering.shiny[met >> 1])
         if len(which) and self.basis.size > 1:
             h, to = self.basis.values(arrives[hit[which]]), met[which]
             for k in range(columns):

@@ -13,7 +13,7 @@ import numpy as np
 from . import bsdf
 from . import microfacet as mf
 
-PAIRS = 1 << 16
+PAIRS = 1 << 15
 CLEAR = (bsdf.GLASS, bsdf.REFRACTION)
 
 # The additive sequence of M. Roberts in five dimensions: powers of 1 / phi, phi the root of x^6 = x + 1.

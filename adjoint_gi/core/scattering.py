@@ -6,7 +6,7 @@ sum of parts, a grey matrix times a colour of each element, so that textured col
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -57,19 +57,37 @@ class MaterialScattering:
 
 
 class Scattering:
-    """The scattering of all elements. `shiny` (ne,) bool: elements of materials that are more than plainly diffuse."""
+    """The scattering of all elements. `prepare` makes it, material by material; those not made yet are black.
+
+    shiny (ne,) bool: elements of materials that are more than plainly diffuse; clear: whether anything refracts, so that basic
+    radiance and radiance differ.
+    """
 
     def __init__(self, elements: Elements, table: bsdf.BsdfTable, basis: Basis, count: int = PAIRS) -> None:
-        self.count, self.size, self.basis = elements.count, basis.size, basis
-        self.clear = False  # whether anything refracts, so that basic radiance and radiance differ
-        scene = elements.world.scene
-        own = np.asarray(scene.material)[elements.patch_triangle[elements.patch]] if elements.count else np.zeros(0, np.int64)
-        colors, kinds = _mean_colors(elements, table)
+        self.elements, self.table, self.basis, self.pairs = elements, table, basis, count
+        self.count, self.size = elements.count, basis.size
         self.shiny = np.zeros(elements.count, bool)
+        self.clear = False
         self.materials: list[MaterialScattering] = []
+
+    @classmethod
+    def ready(cls, elements: Elements, table: bsdf.BsdfTable, basis: Basis, count: int = PAIRS) -> Scattering:
+        """Made and prepared in one call."""
+        out = cls(elements, table, basis, count)
+        for _ in out.prepare():
+            pass
+        return out
+
+    def prepare(self) -> Iterator[float]:
+        """Find the colours of the elements and the matrices of every material; yields the share done."""
+        elements, table, basis = self.elements, self.table, self.basis
+        material = np.asarray(elements.world.scene.material)
+        own = material[elements.patch_triangle[elements.patch]] if elements.count else np.zeros(0, np.int64)
+        colors, kinds = _mean_colors(elements, table)
         cache: dict[tuple, list[tuple[np.ndarray, np.ndarray | None]]] = {}
         flat = basis.constant()
-        for index in np.unique(own):
+        used = np.unique(own)
+        for done, index in enumerate(used, 1):
             which = np.flatnonzero(own == index)
             parts: list[Part] = []
             for slot, (kind, alpha, ior) in enumerate(kinds[index]):
@@ -79,7 +97,8 @@ class Scattering:
                 self.clear |= kind in CLEAR and ior != 1
                 key = (kind, alpha, ior)
                 if key not in cache:
-                    cache[key] = _kernels(basis, kind, alpha, ior, table, count)
+                    cache[key] = _kernels(basis, kind, alpha, ior, table, self.pairs)
+                    yield (done - 0.5) / len(used)
                 tints = (color, np.ones_like(color)) if kind == bsdf.METALLIC else (color,)
                 parts += [Part(tint, *kernel) for tint, kernel in zip(tints, cache[key], strict=True)]
             left = right = flat
@@ -92,6 +111,7 @@ class Scattering:
                 right = left / (1 - float(table.coat_mean[index]))
             self.shiny[which] = bool(parts) or left is not flat
             self.materials.append(MaterialScattering(which, colors[0][which], left, right * basis.unit, tuple(parts)))
+        yield 1.0
 
     def apply(self, arriving: np.ndarray, diffuse: bool = True, first: int = 0) -> np.ndarray:
         """(2 m, size, 3) radiance that leaves the elements `first` to `first` + m where `arriving` (2 m, size, 3) arrives.

@@ -38,7 +38,7 @@ def transport_of(materials, rows=2, columns=4, edge=10.0, rays=4, block=None):
         b.box("Block", (1.25, 1.0, 0.5), (2.0, 2.5, 1.5), block, inward=False)
     elements = Elements(World(b.build()), edge)
     bins = Bins(rows, columns)
-    scattering = Scattering(elements, bsdf.BsdfTable(elements.world.scene), bins, 1 << 13)
+    scattering = Scattering.ready(elements, bsdf.BsdfTable(elements.world.scene), bins, 1 << 13)
     t = DirectionalTransport(DirectionalRays(elements), bins, scattering, rays)
     for _ in t.cast():
         pass
@@ -212,7 +212,7 @@ def test_rays_of_a_room_all_arrive_on_its_inside():
 def test_means_of_the_shared_scene_helpers_are_two_sided():
     """The Cornell box scatters on both sides of its faces alike."""
     elements = Elements(World(scenes.cornell(8, 8)), 0.5)
-    s = Scattering(elements, bsdf.BsdfTable(elements.world.scene), Bins(2, 4), 64)
+    s = Scattering.ready(elements, bsdf.BsdfTable(elements.world.scene), Bins(2, 4), 64)
     assert not s.shiny.any()
     out = s.apply(np.ones((2 * elements.count, 8, 3)))
     assert np.allclose(out, np.repeat(elements.albedo, 2, axis=0)[:, None], atol=1e-12)
