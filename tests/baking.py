@@ -79,6 +79,22 @@ def lightmaps(req: BakeRequest) -> dict[str, Baked]:
     return out
 
 
+def outlined(baked: Baked, boxes: Sequence[bpy.types.Object]) -> np.ndarray:
+    """(h, w) bool: texels that the outline of a box standing on them cuts."""
+    receivers, world = baked.lightmap.receivers, baked.world
+    position = world.surface(receivers.triangle, receivers.u, receivers.v).position + world.center
+    cut = np.zeros(baked.share.shape, bool)
+    for box in boxes:
+        back, bound = box.matrix_world.inverted(), np.array(box.bound_box)
+        local = position @ np.array(back.to_3x3()).T + np.array(back.translation)
+        within = (local[:, :2] > bound.min(axis=0)[:2]) & (local[:, :2] < bound.max(axis=0)[:2])
+        inside = within.all(axis=1) & (np.abs(local[:, 2]) < 1e-4)
+        count = np.add.reduceat(inside.astype(int), receivers.start[:-1])
+        mixed = (count > 0) & (count < np.diff(receivers.start))
+        cut |= baked.lightmap.image(mixed.astype(np.float32))[..., 0] > 0
+    return cut
+
+
 # ---- Cycles
 
 

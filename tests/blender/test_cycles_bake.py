@@ -176,24 +176,9 @@ def reference():
                 name: [baking.cycles_irradiance(scene.objects[name], BOX, ours[0][name].layer, 128, seed) for seed in range(3)]
                 for name in WALLS
             }
-            used = {name: ours[0][name].whole & ~outlined(ours[0][name], scene) for name in WALLS}
+            boxes = [scene.objects[name] for name in WALLS if "Box" in name]
+            used = {name: ours[0][name].whole & ~baking.outlined(ours[0][name], boxes) for name in WALLS}
     return ours, theirs, used
-
-
-def outlined(baked, scene):
-    """(h, w) bool: texels that the outline of a box standing on them cuts."""
-    receivers, world = baked.lightmap.receivers, baked.world
-    position = world.surface(receivers.triangle, receivers.u, receivers.v).position + world.center
-    cut = np.zeros(baked.share.shape, bool)
-    for name in ("Short Box", "Tall Box"):
-        local = position @ np.array(scene.objects[name].matrix_world.inverted().to_3x3()).T
-        local += np.array(scene.objects[name].matrix_world.inverted().translation)
-        low, high = np.array(scene.objects[name].bound_box).min(axis=0), np.array(scene.objects[name].bound_box).max(axis=0)
-        inside = ((local[:, :2] > low[:2]) & (local[:, :2] < high[:2])).all(axis=1) & (np.abs(local[:, 2]) < 1e-4)
-        count = np.add.reduceat(inside.astype(int), receivers.start[:-1])
-        mixed = (count > 0) & (count < np.diff(receivers.start))
-        cut |= baked.lightmap.image(mixed.astype(np.float32))[..., 0] > 0
-    return cut
 
 
 @pytest.mark.slow
