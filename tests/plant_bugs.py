@@ -1,0 +1,169 @@
+"""Plants known bugs in a copy of the code, one at a time, and sees that each turns a test red: a check of the tests themselves.
+
+    python tests/plant_bugs.py            all of them, a table at the end
+    python tests/plant_bugs.py 3 7        only numbers 3 and 7
+
+Exit code 0 when every planted bug is found. Bugs 1 to 10 are the list of the verification page, section 2.7; the others are ours.
+Run it in an environment that has numpy, embreex and pytest. Nothing in the checkout is changed.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@dataclass(frozen=True)
+class Bug:
+    """A bug: in `file`, `right` becomes `wrong`; some test of `tests` must fail."""
+
+    name: str
+    file: str
+    right: str
+    wrong: str
+    tests: str
+
+
+BUGS = (
+    Bug(
+        "uniform instead of cosine directions",
+        "adjoint_gi/core/sampling.py",
+        "    w = sphere(u, v)\n    w += normal\n",
+        "    w = sphere(u, v)\n    w *= np.copysign(ONE, dot(w, normal))\n    return w, dot(w, normal)\n    w += normal\n",
+        "tests/methods/test_path_tracing.py -k two_zone",
+    ),
+    Bug(
+        "cosine squared instead of cosine",
+        "adjoint_gi/core/sampling.py",
+        "    w = sphere(u, v)\n    w += normal\n",
+        "    w = sphere(u, v)\n    w += np.float32(1.5) * normal\n",
+        "tests/methods/test_path_tracing.py -k two_zone",
+    ),
+    Bug(
+        "lost 1 / pi",
+        "adjoint_gi/core/bsdf.py",
+        "_diffuse_scale(lobes, up) / mf.PI)",
+        "_diffuse_scale(lobes, up))",
+        "tests/core/test_bsdf.py -k albedo",
+    ),
+    Bug(
+        "Eq. 13 with F(ji)",
+        "adjoint_gi/core/transports.py",
+        "        return (self.factors[index].T @ flux) / self.area[:, None], self.sky[index] @ flux",
+        "        return self.factors[:, index] @ (flux / self.area[index, None]), self.sky[index] @ flux",
+        "tests/methods/test_progressive_radiosity.py",
+    ),
+    Bug(
+        "dropped reciprocity",
+        "adjoint_gi/core/transports.py",
+        "        return (self.factors.T @ (self.area[:, None] * y)) / self.area[:, None]",
+        "        return self.factors.T @ y",
+        "tests/core/test_transports.py",
+    ),
+    Bug(
+        "double-counted emission",
+        "adjoint_gi/core/direct.py",
+        "            radiance *= sampling.power_heuristic(",
+        "            sampling.power_heuristic(",
+        "tests/methods/test_path_tracing.py -k furnace",
+    ),
+    Bug(
+        "roulette without weight",
+        "adjoint_gi/core/paths.py",
+        "throughput.take(survive, axis=1) / chance.take(survive)",
+        "throughput.take(survive, axis=1)",
+        "tests/methods/test_path_tracing.py -k furnace",
+    ),
+    Bug(
+        "flipped normals",
+        "adjoint_gi/core/world.py",
+        "np.float32(-1), np.float32(1))\n            ng = ng * side[:, None]",
+        "np.float32(1), np.float32(-1))\n            ng = ng * side[:, None]",
+        "tests/methods/test_particle_tracing.py -x",
+    ),
+    Bug(
+        "float32 sums",
+        "adjoint_gi/core/schemes.py",
+        "            self.absorbed += (area * (1 - rho) * light).sum(axis=0)",
+        "            self.absorbed += np.float32((area * (1 - rho) * light).sum(axis=0))",
+        "tests/methods/test_progressive_radiosity.py",
+    ),
+    Bug(
+        "lost last bounce",
+        "adjoint_gi/core/paths.py",
+        "last = length >= walk.min_length, length == walk.max_length",
+        "last = length >= walk.min_length, length == walk.max_length - 1",
+        "tests/methods/test_path_tracing.py -k partial",
+    ),
+    Bug(
+        "index of refraction not turned over inside",
+        "adjoint_gi/core/bsdf.py",
+        "    return np.where(inside, 1 / slot.ior, slot.ior).astype(np.float32)",
+        "    return np.where(inside, slot.ior, slot.ior).astype(np.float32)",
+        "tests/core/test_bsdf.py -k total",
+    ),
+    Bug(
+        "margin bleeds across charts",
+        "adjoint_gi/core/margin.py",
+        "        nearer = np.where(column - a <= b - column, a, b)",
+        "        nearer = a",
+        "tests/core/test_margin.py",
+    ),
+    Bug(
+        "ray offset does not grow with the scene",
+        "adjoint_gi/core/world.py",
+        "        self.offset = OFFSET * self.size",
+        "        self.offset = 1e-9",
+        "tests/methods/test_path_tracing.py -k furnace",
+    ),
+    Bug(
+        "texels half a texel off",
+        "adjoint_gi/core/lightmap.py",
+        "    return (0.5 + k * np.array([1 / g, 1 / g**2])) % 1.0",
+        "    return (0.0 + k * np.array([1 / g, 1 / g**2])) % 1.0",
+        "tests/core/test_lightmap.py",
+    ),
+)
+
+
+def plant(bug: Bug, folder: Path) -> str:
+    """Run the bug's tests on a copy with the bug in it: "found", "NOT FOUND" or what went wrong."""
+    copy = folder / "code"
+    shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", ".venv*", "wheels", "dist", "out", "__pycache__", "*.egg-info"))
+    path = copy / bug.file
+    text = path.read_text()
+    if text.count(bug.right) < 1 or not bug.right:
+        return "the code to break is not there any more"
+    path.write_text(text.replace(bug.right, bug.wrong, 1))
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *bug.tests.split()]
+    result = subprocess.run(command, cwd=copy, capture_output=True, text=True, timeout=600)
+    if result.returncode == 1:
+        failed = [line.split(" ")[1] for line in result.stdout.splitlines() if line.startswith("FAILED")]
+        return "found by " + (failed[0].split("::")[-1] if failed else "a test")
+    return "NOT FOUND" if result.returncode == 0 else f"the tests did not run (exit code {result.returncode})"
+
+
+def main() -> int:
+    """Plant the bugs asked for; 0 when all are found."""
+    wanted = [int(x) for x in sys.argv[1:]] or range(1, len(BUGS) + 1)
+    missed = 0
+    for number in wanted:
+        bug = BUGS[number - 1]
+        began = time.perf_counter()
+        with tempfile.TemporaryDirectory(prefix="adjoint_gi_bug_") as folder:
+            outcome = plant(bug, Path(folder))
+        missed += not outcome.startswith("found")
+        print(f"{number:2d}  {bug.name:45s} {outcome}  ({time.perf_counter() - began:.0f} s)", flush=True)
+    print(f"{len(list(wanted)) - missed} of {len(list(wanted))} planted bugs found")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
