@@ -57,8 +57,8 @@ BUGS = (
         "Eq. 13 with F(ji)",
         "adjoint_gi/core/transports.py",
         "        return (self.factors[index].T @ flux) / self.area[:, None], self.sky[index] @ flux",
-        "        return self.factors[:, index] @ (flux / self.area[index, None]), self.sky[index] @ flux",
-        "tests/methods/test_progressive_radiosity.py",
+        "        return self.factors[index].T @ (flux / self.area[index, None]), self.sky[index] @ flux",
+        "tests/core/test_transports.py",
     ),
     Bug(
         "dropped reciprocity",
