@@ -27,22 +27,23 @@ from .world import World
 ALPHA = 0.01  # a comparison of methods that all agree cries wolf once in a hundred times
 ELEMENTS = 0.03  # allowance of methods on elements that state none: relative error of an object's flux
 DARK = 0.01  # the same, as a share of the mean flux per area: a small leak into a dark object is no disagreement
-TEXELS = 0.005  # share of the flux that differs between the receivers' points and the whole object
+TEXELS = 0.01  # relative error of the flux of an object from its values at the receivers' points
 ROUNDING = 1e-5  # float32 sums
 BATCH = 1 << 14
 
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """Receivers by object: names; `object` (g,) index in the scene; `owner` (n,) group of each receiver, -1 for none; `weight` (n,) m2.
+    """Receivers by object: names; `owner` (n,) group of each receiver, -1 for none; `weight` (n,) m2; `triangle` (nt,) group whose g is 1
+    on a triangle, -1 for none.
 
-    `area` (g,) m2 of each group. For a camera weights are shares of the picture and fluxes are mean radiances.
+    For a camera weights are shares of the picture, fluxes are mean radiances, and no triangle is in a group.
     """
 
     names: tuple[str, ...]
-    object: np.ndarray
     owner: np.ndarray
     weight: np.ndarray
+    triangle: np.ndarray
     unit: str = "W"
 
     @property
@@ -59,56 +60,55 @@ class Groups:
 
 
 def groups_of(world: World, receivers: Receivers) -> Groups:
-    """The receivers by the object that they stand on, weighted so that those of an object together have its area.
+    """The receivers by the object that they stand on.
 
-    A point stands for its share of its triangle; triangles without a point are made up for by the others of their object.
+    g is 1 on triangles that have a receiver's point, and each point stands for its share of its triangle. Triangles so small that they
+    have none are left out of both equations.
     """
     objects = np.asarray(world.scene.object, np.int64)
-    n, count = receivers.count, len(world.scene.objects)
     if receivers.measure == "radiance":
         return _camera_groups(world, receivers, objects)
     points = list(receivers.sites())
     triangle = np.concatenate([p.triangle for p in points])
     receiver = np.concatenate([p.receiver for p in points])
-    share = world.area[triangle] / np.bincount(triangle, minlength=world.triangle_count)[triangle]
-    weight = np.bincount(receiver, share, n)
-    # The object in which most of a receiver lies.
-    owner = np.full(n, -1, np.int64)
-    best = np.zeros(n)
-    for index in np.unique(objects[triangle]):
-        mine = np.bincount(receiver, share * (objects[triangle] == index), n)
-        owner[mine > best] = index
-        best = np.maximum(best, mine)
-    present = np.unique(owner[owner >= 0])
-    total = np.bincount(objects, world.area, count)
+    many = np.bincount(triangle, minlength=world.triangle_count)
     # Elements answer for both sides, texels and vertices for the front.
-    sides = 2 if receivers.kind == "elements" else 1
-    have = np.bincount(np.maximum(owner, 0), np.where(owner >= 0, weight, 0), count)
-    scale = sides * total[np.maximum(owner, 0)] / np.maximum(have[np.maximum(owner, 0)], 1e-300)
-    place = np.full(count + 1, -1, np.int64)
-    place[present] = np.arange(len(present))
-    return Groups(tuple(world.scene.objects[i].name for i in present), present, place[owner], weight * scale)
+    share = _sides(receivers) * world.area[triangle] / many[triangle]
+    owner, present = _majority(receiver, objects[triangle], share, receivers.count)
+    group = np.where(many > 0, np.searchsorted(present, objects), -1)
+    weight = np.bincount(receiver, share, receivers.count)
+    return Groups(tuple(world.scene.objects[i].name for i in present), owner, weight, group)
+
+
+def _sides(receivers: Receivers) -> int:
+    return 2 if receivers.kind == "elements" else 1
+
+
+def _majority(receiver: np.ndarray, what: np.ndarray, share: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """For each of `count` receivers the position of the `what` (n,) with the largest summed share, -1 for none, among the sorted values."""
+    present = np.unique(what)
+    if not len(receiver):
+        return np.full(count, -1, np.int64), present
+    pair, back = np.unique(receiver * len(present) + np.searchsorted(present, what), return_inverse=True)
+    total = np.bincount(back.ravel(), share)
+    order = np.lexsort((total, pair // len(present)))
+    owner = np.full(count, -1, np.int64)
+    owner[pair[order] // len(present)] = pair[order] % len(present)  # of equal indices the last stays: the largest
+    return owner, present
 
 
 def _camera_groups(world: World, receivers: Receivers, objects: np.ndarray) -> Groups:
     """Pixels by the object that most of their rays see."""
     n = receivers.count
-    count = len(world.scene.objects)
-    seen = np.zeros((n, count + 1), np.int32) if n * (count + 1) < 5e7 else None
-    owner = np.full(n, count, np.int64)
+    receiver, seen = [], []
     for p in receivers.sites():
-        found = np.where(p.triangle >= 0, objects[p.triangle], count)
-        if seen is None:
-            owner[p.receiver] = found
-        else:
-            seen += np.bincount(p.receiver * (count + 1) + found, minlength=seen.size).reshape(seen.shape).astype(np.int32)
-    if seen is not None:
-        owner = seen.argmax(axis=1)
-    present = np.unique(owner[owner < count])
-    place = np.full(count + 1, -1, np.int64)
-    place[present] = np.arange(len(present))
+        hit = p.triangle >= 0
+        receiver.append(p.receiver[hit])
+        seen.append(objects[p.triangle[hit]])
+    receiver, seen = np.concatenate(receiver), np.concatenate(seen)
+    owner, present = _majority(receiver, seen, np.ones(len(receiver)), n)
     names = tuple(world.scene.objects[i].name for i in present)
-    return Groups(names, present, place[owner], np.full(n, 1.0 / n), "W m-2 sr-1, mean over the picture")
+    return Groups(names, owner, np.full(n, 1.0 / n), np.full(world.triangle_count, -1), "W m-2 sr-1, mean over the picture")
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,9 +126,7 @@ def shoot(world: World, groups: Groups, both_sides: bool, max_length: int, seed:
     emission = Emission(world)
     table = BsdfTable(world.scene)
     table = None if table.only_diffuse else table
-    place = np.full(len(world.scene.objects), -1, np.int64)
-    place[groups.object] = np.arange(len(groups.names))
-    group = place[np.asarray(world.scene.object, np.int64)]
+    group = groups.triangle
     g, k, rays = len(groups.names), 0, 0
     total, squares = np.zeros(g), np.zeros(g)
     none = np.zeros(g)

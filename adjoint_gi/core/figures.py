@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .canvas import GLYPH_HEIGHT, Canvas
+from .canvas import GLYPH_HEIGHT, GLYPH_WIDTH, Canvas
 
 # Distinct on white and for colour-blind eyes (Okabe and Ito 2008), then darker variants.
 COLORS = (
@@ -29,7 +29,10 @@ COLORS = (
     (0.60, 0.60, 0.60),
     (0.20, 0.10, 0.10),
 )
-GREY, LIGHT = (0.35, 0.35, 0.35), (0.88, 0.88, 0.88)
+GREY, LIGHT = (0.25, 0.25, 0.25), (0.88, 0.88, 0.88)
+UNKNOWN = (0.72, 0.72, 0.72)  # where nothing can be compared
+TEXT = 1.4  # scale of all letters
+LEGEND = 250  # pixels beside a plot
 
 
 @dataclass(frozen=True)
@@ -65,22 +68,34 @@ def side_by_side(images: Sequence[np.ndarray], labels: Sequence[str], exposure: 
     return _grid([encode(i, exposure) for i in images], labels, columns)
 
 
+def round_limit(value: float) -> float:
+    """`value` rounded up to 1, 2 or 5 times a power of ten, so that a scale has round numbers; 1 for 0."""
+    if not value > 0 or not np.isfinite(value):
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(next(m * power for m in (1, 2, 5, 10) if value <= m * power * (1 + 1e-9)))
+
+
 def differences(
     images: Sequence[np.ndarray], reference: np.ndarray, covered: np.ndarray, labels: Sequence[str], limit: float
 ) -> np.ndarray:
-    """Signed differences of luminance to the reference (h, w, 3) in false colours, grey where not `covered` (h, w), with the scale."""
+    """Signed differences (mean of the colours) to the reference (h, w, 3) in false colours with their scale, grey where not `covered`."""
     shown = []
     for image in images:
         picture = false_color((image - reference).mean(axis=-1), limit)
-        picture[~covered] = LIGHT
+        picture[~covered] = UNKNOWN
         shown.append(picture)
     grid = _grid(shown, labels, 4)
-    out = Canvas(max(grid.shape[1], 220), grid.shape[0] + 36)
-    out.paste(0, 36, grid)
-    width = out.width - 80
-    out.paste(40, 18, np.repeat(false_color(np.linspace(-limit, limit, width), limit)[None], 10, axis=0))
-    for x, value in ((40, -limit), (40 + width / 2, 0.0), (40 + width, limit)):
-        out.text(x, 6, f"{value:.2g}", GREY, 1.0, 0.5)
+    scale = 58
+    out = Canvas(max(grid.shape[1], 360), grid.shape[0] + scale)
+    out.paste(0, scale, grid)
+    width = min(out.width, 640) - 100
+    bar = np.repeat(false_color(np.linspace(-limit, limit, width), limit)[None], 14, axis=0)
+    out.rectangle(49, 31, width + 2, 16, GREY)
+    out.paste(50, 32, bar)
+    for x, value in ((50, -limit), (50 + width / 2, 0.0), (50 + width, limit)):
+        out.rectangle(x, 27, 1, 5, GREY)
+        out.text(x, 14, f"{value:.3g}", GREY, TEXT, 0.5)
     return out.pixels
 
 
@@ -88,75 +103,99 @@ def _grid(images: Sequence[np.ndarray], labels: Sequence[str], columns: int) -> 
     h, w = images[0].shape[:2]
     columns = min(columns, len(images))
     rows = -(-len(images) // columns)
-    gap, caption = 6, GLYPH_HEIGHT + 8
+    gap, caption = 8, int(GLYPH_HEIGHT * TEXT) + 10
     out = Canvas(columns * (w + gap) + gap, rows * (h + gap + caption) + gap)
     for i, (image, label) in enumerate(zip(images, labels, strict=True)):
         x = gap + (i % columns) * (w + gap)
         y = out.height - (i // columns + 1) * (h + gap + caption)
         out.paste(x, y + caption, image)
-        out.text(x + w / 2, y + 6, label[: max(1, w // 6)], GREY, 1.0, 0.5)
+        # A long label is written smaller, and only cut when that is not enough.
+        scale = max(0.9, min(TEXT, w / (GLYPH_WIDTH * max(1, len(label)))))
+        out.text(x + w / 2, y + 8, label[: max(1, int(w / (GLYPH_WIDTH * scale)))], GREY, scale, 0.5)
     return out.pixels
 
 
-def plot(curves: Sequence[Curve], x_label: str, y_label: str, width: int = 720, height: int = 440) -> np.ndarray:
-    """Curves on two logarithmic axes with decades as grid, and a legend."""
+def ticks(low: float, high: float) -> list[float]:
+    """Values between 10^low and 10^high for a logarithmic axis: powers of ten, with 2 and 5 times them where there are few."""
+    decades = range(int(np.floor(low)), int(np.ceil(high)) + 1)
+    marks = (1.0, 2.0, 5.0) if high - low <= 2.6 else (1.0,)
+    return [v for d in decades for m in marks if low - 1e-9 <= np.log10(v := m * 10.0**d) <= high + 1e-9]
+
+
+def plot(
+    curves: Sequence[Curve], x_label: str, y_label: str, width: int = 900, height: int = 500, floor: float | None = None
+) -> np.ndarray:
+    """Curves on two logarithmic axes with a grid and a legend; `floor` is a level that no curve can be trusted below."""
     canvas = Canvas(width, height)
-    left, right, bottom, top = 70, 190, 48, 24
+    left, right, bottom, top = 80, LEGEND, 60, 36
     all_points = np.concatenate([c.points for c in curves if len(c.points)] or [np.ones((1, 2))])
-    good = all_points[(all_points > 0).all(axis=1)]
+    good = all_points[(all_points > 0).all(axis=1) & np.isfinite(all_points).all(axis=1)]
     good = good if len(good) else np.ones((1, 2))
-    low = np.floor(np.log10(good.min(axis=0)) * 2) / 2
-    high = np.maximum(np.ceil(np.log10(good.max(axis=0)) * 2) / 2, low + 0.5)
+    low, high = np.log10(good.min(axis=0)) - 0.06, np.log10(good.max(axis=0)) + 0.06
+    if floor and floor > 0:
+        low[1] = min(low[1], max(np.log10(floor) - 0.1, low[1] - 1.0))
+    middle, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 0.2)
+    low, high = middle - half, middle + half
     size = np.array([width - left - right, height - bottom - top])
 
     def place(points: np.ndarray) -> np.ndarray:
         return (np.log10(points) - low) / (high - low) * size + (left, bottom)
 
-    for axis in (0, 1):
-        for decade in range(int(np.ceil(low[axis])), int(np.floor(high[axis])) + 1):
-            at = (decade - low[axis]) / (high[axis] - low[axis]) * size[axis] + (left, bottom)[axis]
-            label = f"{10.0**decade:g}"
-            if axis == 0:
-                canvas.rectangle(at, bottom, 1, size[1], LIGHT)
-                canvas.text(at, bottom - 16, label, GREY, 1.0, 0.5)
-            else:
-                canvas.rectangle(left, at, size[0], 1, LIGHT)
-                canvas.text(left - 6, at - 3, label, GREY, 1.0, 1.0)
+    for value in ticks(low[0], high[0]):
+        at = place(np.array([value, 1.0]))[0]
+        canvas.rectangle(at, bottom, 1, size[1], LIGHT)
+        canvas.text(at, bottom - 20, f"{value:g}", GREY, TEXT, 0.5)
+    for value in ticks(low[1], high[1]):
+        at = place(np.array([1.0, value]))[1]
+        canvas.rectangle(left, at, size[0], 1, LIGHT)
+        canvas.text(left - 10, at - 4, f"{value:g}", GREY, TEXT, 1.0)
+    if floor and floor > 0 and low[1] < np.log10(floor) < high[1]:
+        at = place(np.array([1.0, floor]))[1]
+        for x in range(left, left + int(size[0]), 12):
+            canvas.rectangle(x, at, 6, 1, GREY)
+        canvas.text(left + size[0] - 4, at + 4, "noise of the reference", GREY, 1.1, 1.0)
     canvas.rectangle(left, bottom, size[0], 1, GREY)
     canvas.rectangle(left, bottom, 1, size[1], GREY)
-    canvas.text(left + size[0] / 2, 12, x_label, GREY, 1.2, 0.5)
-    canvas.text(left - 60, height - 16, y_label, GREY, 1.2)
+    canvas.text(left + size[0] / 2, 14, x_label, GREY, TEXT, 0.5)
+    canvas.text(12, height - 20, y_label, GREY, TEXT)
     for i, curve in enumerate(curves):
-        color = COLORS[i % len(COLORS)]
         points = curve.points[(curve.points > 0).all(axis=1)]
         if len(points):
             at = place(points)
-            canvas.line(at, color, 2.0) if len(at) > 1 else None
-            canvas.dots(at, color, 5.0)
-        y = height - top - 14 * (i + 1)
-        canvas.rectangle(width - right + 12, y + 2, 14, 3, color)
-        canvas.text(width - right + 32, y, curve.label[:25], GREY)
+            if len(at) > 1:
+                canvas.line(at, COLORS[i % len(COLORS)], 2.0)
+            canvas.dots(at, COLORS[i % len(COLORS)], 6.0)
+    _legend(canvas, [c.label for c in curves], width - right, height - top)
     return canvas.pixels
 
 
-def histogram(errors: Sequence[np.ndarray], labels: Sequence[str], limit: float, width: int = 720, height: int = 300) -> np.ndarray:
-    """Histograms of relative errors (n,) in -limit..limit, one line a method, all scaled to the highest."""
+def _legend(canvas: Canvas, labels: Sequence[str], x: float, y: float) -> None:
+    for i, label in enumerate(labels):
+        at = y - 20 * (i + 1)
+        canvas.rectangle(x + 16, at + 3, 18, 4, COLORS[i % len(COLORS)])
+        scale = min(TEXT, (LEGEND - 44) / (GLYPH_WIDTH * max(1, len(label))))
+        canvas.text(x + 42, at, label, GREY, max(0.9, scale))
+
+
+def histogram(errors: Sequence[np.ndarray], labels: Sequence[str], limit: float, width: int = 900, height: int = 400) -> np.ndarray:
+    """Histograms of relative errors (n,) in -limit..limit, one line a method, each with its share on a square-root scale.
+
+    The outermost bins also hold what lies beyond. The square root keeps wide and low histograms visible beside narrow and high ones.
+    """
     canvas = Canvas(width, height)
-    left, right, bottom, top = 20, 190, 40, 20
+    left, right, bottom, top, bins = 30, LEGEND, 60, 20, 61
     size = (width - left - right, height - bottom - top)
-    counts = [np.histogram(np.clip(e, -limit, limit), 81, (-limit, limit))[0] / max(1, len(e)) for e in errors]
+    counts = [np.histogram(np.clip(e, -limit, limit), bins, (-limit, limit))[0] / max(1, len(e)) for e in errors]
     highest = max((c.max() for c in counts), default=1.0) or 1.0
     for share in (-1.0, -0.5, 0.0, 0.5, 1.0):
         x = left + (share + 1) / 2 * size[0]
-        canvas.rectangle(x, bottom, 1, size[1], LIGHT if share else GREY)
-        canvas.text(x, bottom - 16, f"{100 * share * limit:.3g}%", GREY, 1.0, 0.5)
+        canvas.rectangle(x, bottom, 1, size[1], LIGHT if share else UNKNOWN)
+        canvas.text(x, bottom - 20, f"{100 * share * limit:.3g}%", GREY, TEXT, 0.5)
     canvas.rectangle(left, bottom, size[0], 1, GREY)
-    canvas.text(left + size[0] / 2, 8, "relative error", GREY, 1.2, 0.5)
-    middle = (np.arange(81) + 0.5) / 81
-    for i, (c, label) in enumerate(zip(counts, labels, strict=True)):
-        color = COLORS[i % len(COLORS)]
-        canvas.line(np.stack([left + middle * size[0], bottom + c / highest * size[1]], axis=1), color, 2.0)
-        y = height - top - 14 * (i + 1)
-        canvas.rectangle(width - right + 12, y + 2, 14, 3, color)
-        canvas.text(width - right + 32, y, label[:25], GREY)
+    canvas.text(left + size[0] / 2, 14, "error, share of the reference's mean", GREY, TEXT, 0.5)
+    edges = np.repeat(np.arange(bins + 1) / bins, 2)[1:-1]
+    for i, c in enumerate(counts):
+        steps = np.repeat(np.sqrt(c / highest), 2)
+        canvas.line(np.stack([left + edges * size[0], bottom + steps * size[1]], axis=1), COLORS[i % len(COLORS)], 2.0)
+    _legend(canvas, labels, width - right, height - top)
     return canvas.pixels

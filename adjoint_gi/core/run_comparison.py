@@ -138,6 +138,9 @@ class _Run:
         halves = HALVES if is_random(solver) else 1
         seconds = self.plan.reference_seconds / halves
         budget = Budget("time", seconds, seconds)
+        for effort in with_effort(solver, self.world, self.receivers, settings, budget):
+            settings = effort or settings
+            yield self._step(0.0, "Reference: finding how many samples fit its time")
         found: list[Solution] = []
         for half in range(halves):
             # Seeds far from those of the runs, so that nothing is measured against itself.
