@@ -40,8 +40,10 @@ from ..adjoint_gi.core.world import World
 
 TARGET = 2000  # elements where max_edge is chosen
 BATCH = 1 << 16  # rays of the sides that shoot together
-FEWEST, MOST_RAYS = 16, 1 << 16  # of one shot
+FEWEST, MOST_RAYS = 16, 1 << 16  # rays of one shot
+ENOUGH = 8  # rays for every coefficient, in shots of sides that are not plainly diffuse
 AT_ONCE = 1 << 13  # sides that shoot together at most
+PATIENCE = 8  # times that all sides may shoot before the unshot light must have become less: in narrow lobes ringing is passed on for ever
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class HarmonicSettings(RadiositySettings):
     rays: int = setting(
         1_000_000,
         label="Rays",
-        help="Rays that carry all emitted flux; a shot takes its share of them by its flux, and never fewer than 16",
+        help="Rays that carry all emitted flux; a shot takes its share by its flux, at least 16, or 8 for each coefficient if shiny",
         min=1,
         max=2_000_000_000,
         soft_max=100_000_000,
@@ -94,6 +96,7 @@ class SphericalHarmonics(Solver):
             "Mirrors and glass are taken at the resolution of the harmonics",
             "Elements are flat: shading normals change only the camera's direct light",
             "Lamps are no geometry, and shadow rays stop at glass",
+            "Ringing between mirror-like surfaces may never die away; shooting ends, and says so, when no less is left to send",
             "Sides shoot in groups, brightest first, instead of one by one",
         ),
         lobes=bsdf.ALL_LOBES | {"emission"},
@@ -163,20 +166,25 @@ class SphericalHarmonics(Solver):
         state.illuminate(moments)
         warnings += dark_notices(elements, moments)
         # 3. Groups of sides, most unshot flux first.
-        left = float(state.strength().sum())
+        left = least = float(state.strength().sum())
+        progress = 0  # shots at which the least was found
         while left > settings.tolerance * state.total and state.shots < settings.max_shots:
             index, rays = group(state, settings)
             if not len(index):
                 break
             state.shoot(index, rays)
             left = float(state.strength().sum())
+            if left < 0.98 * least:
+                least, progress = left, state.shots
             share = left / state.total
             history.append((time.monotonic() - started, share))
             done = (1 - share) / (1 - settings.tolerance) if settings.tolerance < 1 else 1.0
             yield step(float(np.clip(done, 0, 0.999)), f"{state.shots:,} shots, {share:.2%} of the light unshot")
+            if state.shots - progress > PATIENCE * len(state.area):
+                break
         if left > settings.tolerance * state.total:
             reason = f"stopped after {state.shots:,} shots with {left / state.total:.2%} of the light unshot"
-            warnings += (Notice(self.spec.label, reason, "Raise max_shots or the tolerance, or lower albedos that are close to 1"),)
+            warnings += (Notice(self.spec.label, reason, "Raise rays, max_shots, windowing or the tolerance, or lower albedos close to 1"),)
         yield step(1.0, f"{state.shots:,} shots", partial=False)
 
 
@@ -188,7 +196,10 @@ def elements_radiance(elements: Elements, basis: HemisphereHarmonics) -> np.ndar
 def group(state: HarmonicShooting, settings: HarmonicSettings) -> tuple[np.ndarray, np.ndarray]:
     """The sides that shoot next and the rays of each: in the order of what they have to send, as many as fit into one batch of rays."""
     index, strength = state.largest(min(AT_ONCE, settings.max_shots - state.shots))
-    rays = np.clip(np.ceil(settings.rays * strength / max(state.total, 1e-300)), FEWEST, MOST_RAYS).astype(np.int64)
+    # Noise: a narrow lobe makes of one ray a radiance whose mean square is about `size` times that of an even one. Sent on along
+    # fewer rays than this, each of which may hit another mirror, it would grow from bounce to bounce.
+    fewest = np.where(state.scattering.shiny[index >> 1], max(FEWEST, ENOUGH * state.basis.size), FEWEST)
+    rays = np.clip(np.ceil(settings.rays * strength / max(state.total, 1e-300)), fewest, MOST_RAYS).astype(np.int64)
     fits = max(1, int(np.searchsorted(np.cumsum(rays), BATCH, side="right")))
     return index[:fits], rays[:fits]
 

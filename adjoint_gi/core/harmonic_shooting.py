@@ -91,10 +91,11 @@ class HarmonicShooting:
             self.unshot[min(length, len(self.unshot) - 1), 2 * first : 2 * last] += leaving
 
     def strength(self) -> np.ndarray:
-        """(n,) W: a bound on the flux each side has still to send, pi mean |L| cos or more, in the norm that the basis is made for."""
-        whole = self.unshot.sum(axis=0)
-        power = np.einsum("nac,ab,nbc->nc", whole, self.basis.gram, whole, optimize=True)
-        return self.area * np.sqrt(np.pi * np.maximum(power, 0)).sum(axis=1)
+        """(n,) W: flux that each side has still to send, absolute values, as light that rings may have a negative one.
+
+        Radiance that carries no flux on the whole is ringing, or the noise of few rays, and does not bring a side to the front.
+        """
+        return self.area * np.abs(np.einsum("a,nac->nc", self.basis.flux, self.unshot.sum(axis=0))).sum(axis=1)
 
     def remaining(self) -> np.ndarray:
         """(3,) W not yet sent, and cut off by the path length."""

@@ -217,6 +217,18 @@ def test_texels_and_camera():
     assert np.allclose(s.extra["elements"], np.pi, rtol=0.03)
 
 
+def test_mirrors_that_see_each_other_come_to_an_end():
+    """Noise that a narrow lobe makes of few rays must not be passed on and grow."""
+    mirror = Material("Mirror", (Lobe("glossy", Color.of(0.8), 0.0),))
+    mats = [mirror, mirror, diffuse("Front", 0.5), diffuse("Back", 0.5), mirror, diffuse("Top", 0.5, 1.0)]
+    b = SceneBuilder()
+    b.box("Room", (0, 0, 0), (2, 2, 1.5), mats, inward=True)
+    receivers = on_elements(b.build(), 0.5)
+    s = solve(receivers, order=6, rays=30_000, tolerance=2e-3)
+    assert s.warnings == ()
+    assert s.history[-1][1] <= 2e-3 and s.balance.gap < 1e-9
+
+
 def test_windowing_takes_the_ringing_away():
     """The smallest radiance that a narrow lobe sends is less below 0."""
     elements = Elements(World(glossy_room(0.2)), 1.0)
