@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-
 from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene import Camera, SceneArrays
 
@@ -112,6 +111,11 @@ def snowman_answer(c, rho, emission) -> tuple[float, float]:
 
 def cornell(width=64, height=64, boxes=True, light=15.0) -> SceneArrays:
     """A unit Cornell box open towards -y, mesh light below the ceiling, two boxes, camera in front."""
+    return cornell_builder(width, height, boxes, light).build()
+
+
+def cornell_builder(width=64, height=64, boxes=True, light=15.0) -> SceneBuilder:
+    """The same before it is built, for adding to."""
     white, red, green = diffuse("White", 0.73), diffuse("Red", (0.63, 0.065, 0.05)), diffuse("Green", (0.14, 0.45, 0.091))
     b = SceneBuilder()
     b.quad("Floor", (0, 0, 0), (1, 0, 0), (0, 1, 0), white)
@@ -124,7 +128,7 @@ def cornell(width=64, height=64, boxes=True, light=15.0) -> SceneArrays:
         _turned_box(b, "Short", (0.67, 0.32), 0.3, 0.3, 0.3, -0.29, white)
         _turned_box(b, "Tall", (0.34, 0.64), 0.3, 0.3, 0.6, 0.3, white)
     b.camera = Camera("perspective", (0.5, -1.35, 0.5), (1, 0, 0), (0, 0, 1), (0, 1, 0), (-0.38, 0.38, -0.38, 0.38), width, height)
-    return b.build()
+    return b
 
 
 def _turned_box(b, name, centre, sx, sy, height, angle, material) -> None:
