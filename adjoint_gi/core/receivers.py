@@ -156,3 +156,21 @@ class CameraReceivers(Receivers):
             pixel = np.arange(a, min(a + block, self.count))
             receiver = np.repeat(pixel, len(dx))
             yield self._points(receiver, np.tile(dx, len(pixel)), np.tile(dy, len(pixel)))
+
+
+class Places(Receivers):
+    """The surface points of other receivers, asked for a value of the surface there instead of their own measure."""
+
+    def __init__(self, receivers: Receivers, measure: str) -> None:
+        self._of = receivers
+        self.kind, self.measure, self.count = receivers.kind, measure, receivers.count
+        self.takes_uniform = receivers.takes_uniform
+        self.elements = getattr(receivers, "elements", None)
+
+    def sample(self, receiver: np.ndarray, rng: np.random.Generator, uniform: np.ndarray | None = None) -> Points:
+        """As the others."""
+        return self._of.sample(receiver, rng) if uniform is None else self._of.sample(receiver, rng, uniform)
+
+    def sites(self) -> Iterator[Points]:
+        """As the others."""
+        return self._of.sites()

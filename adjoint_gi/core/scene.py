@@ -193,6 +193,7 @@ class ObjectArrays:
     """One object or instance and its stretch of the triangle arrays.
 
     `uvs` maps layer to (nt, 3, 2) float32, `colors` maps attribute to (nt, 3, 4) float32 scene-linear, per triangle corner.
+    `selected` (nt,) bool tells the triangles of selected faces, None where that is not known.
     """
 
     name: str  # unique and stable: "Cube", or "Cube[0.3]" for an instance
@@ -208,6 +209,7 @@ class ObjectArrays:
     uvs: dict[str, np.ndarray] = field(default_factory=dict)
     render_uv: str = ""
     colors: dict[str, np.ndarray] = field(default_factory=dict)
+    selected: np.ndarray | None = None
 
     @property
     def triangles(self) -> slice:

@@ -10,7 +10,7 @@ import numpy as np
 
 from .errors import Notice
 
-QUANTITIES = ("irradiance", "radiosity", "direct", "indirect", "emitted")
+QUANTITIES = ("irradiance", "radiosity", "direct", "indirect", "emitted", "potential")
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,9 @@ class Solution:
     """The state of a solve for `n` receivers.
 
     measure   "irradiance" (texels, vertices, elements): `direct` and `indirect` are irradiance in W m-2 and `emitted` is
-              emitted radiosity in W m-2. "radiance" (camera): all three are outgoing radiance in W m-2 sr-1.
+              emitted radiosity in W m-2. "radiance" (camera): all three are outgoing radiance in W m-2 sr-1. "potential": shares
+              of emitted flux that reach a set of receivers (`core.detectors` has units), `emitted` without a reflection, `direct`
+              after one and `indirect` after more.
     emitted, direct, indirect, albedo   (n, 3) float32
     weight    (n,) float32, 0 where a receiver got no sample (its values are 0)
     """
@@ -59,15 +61,20 @@ class Solution:
     partial: bool = False
     extra: dict[str, np.ndarray] = field(default_factory=dict)  # "elements" (n, 3), "normal" (n, 3), "depth" (n,)
 
+    @property
+    def whole(self) -> str:
+        """The quantity that `emitted`, `direct` and `indirect` are parts of; of irradiance `emitted` is none."""
+        return self.measure
+
     def quantity(self, name: str) -> np.ndarray:
-        """(n, 3) float32 array of one of `QUANTITIES`, or "radiance" for what a camera sees."""
+        """(n, 3) float32 array of one of `QUANTITIES`, or "radiance" for what a camera sees. Potential has no irradiance or radiosity."""
         if name in ("emitted", "direct", "indirect"):
             return getattr(self, name)
         if name == "irradiance" and self.measure == "irradiance":
             return self.direct + self.indirect
         if name == "radiosity" and self.measure == "irradiance":
             return self.emitted + self.albedo * (self.direct + self.indirect)
-        if name == "radiance" and self.measure == "radiance":
+        if name == self.measure and name in ("radiance", "potential"):
             return self.emitted + self.direct + self.indirect
         raise ValueError(f"a solution in {self.measure} has no {name}")
 
