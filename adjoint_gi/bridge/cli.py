@@ -18,12 +18,18 @@ import bpy
 
 from ... import solvers
 from ..core.errors import AdjointError, WriteError
-from . import cli_bake, cli_demo, cli_methods
+from . import cli_bake, cli_compare, cli_demo, cli_methods
 from .cli_arguments import make_parser
 from .cli_progress import say_notices
 
 DONE, FAILED, REFUSED, INTERRUPTED = 0, 1, 2, 130
-COMMANDS = {"bake": cli_bake.bake, "check": cli_bake.check, "methods": cli_methods.methods, "demo": cli_demo.demo}
+COMMANDS = {
+    "bake": cli_bake.bake,
+    "check": cli_bake.check,
+    "methods": cli_methods.methods,
+    "demo": cli_demo.demo,
+    "compare": cli_compare.compare,
+}
 
 _handle = None
 

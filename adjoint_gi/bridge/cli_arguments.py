@@ -12,10 +12,13 @@ from ..core import registry
 from ..core.errors import SettingsError
 from ..core.settings import Settings, field_type
 from ..core.solution import QUANTITIES
+from . import compare_arguments
 from .request import DOMAINS, RECEIVERS, BakeRequest
 
 DEFAULTS = {f.name: f.default for f in dataclasses.fields(BakeRequest) if f.default is not dataclasses.MISSING}
 MOST_THREADS = 256
+# One method for each quadrant of the taxonomy: gathering or shooting, deterministic or not.
+DEMO_METHODS = ("path_tracing", "particle_tracing", "matrix_radiosity", "progressive_radiosity")
 
 
 def make_parser(in_blender: bool) -> argparse.ArgumentParser:
@@ -33,8 +36,17 @@ def make_parser(in_blender: bool) -> argparse.ArgumentParser:
     add_request(check, in_blender)
     listing = commands.add_parser("methods", help="list the methods")
     listing.add_argument("--json", action="store_true", help="as JSON")
-    demo = commands.add_parser("demo", help="build a Cornell box and bake it by every method")
+    compare = commands.add_parser("compare", help="compare methods within one budget, as a page with tables and pictures")
+    compare_arguments.add_arguments(compare, in_blender)
+    demo = commands.add_parser("demo", help="build a Cornell box and bake it by a method of each kind, to every target")
     demo.add_argument("--output", default="adjoint-gi-demo", metavar="DIR", help="folder for the pictures (default: %(default)s)")
+    demo.add_argument(
+        "--methods",
+        nargs="+",
+        default=list(DEMO_METHODS),
+        metavar="ID",
+        help="methods that make a picture, or `all` (default: %(default)s)",
+    )
     demo.add_argument("--size", type=int, default=480, help="width and height of the pictures (default: %(default)s)")
     demo.add_argument("--threads", type=int, metavar="N", help=f"threads, 1 to {MOST_THREADS} (default: one for each core)")
     return parser

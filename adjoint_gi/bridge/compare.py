@@ -154,14 +154,15 @@ class Compare:
             target = self.picture(np.where(reference.valid[:, None], reference.values, 0))
             shown, captions = [target, *images], ["Reference", *labels]
         exposure = figures.exposure_for(shown[0] if reference is not None else images[0])
-        out = {"side by side": figures.side_by_side(shown, captions, exposure)}
+        anything = np.any([e.solution.weight > 0 for e in entries], axis=0).astype(np.float32)
+        out = {"side by side": figures.side_by_side(shown, captions, exposure, self.picture(anything)[..., 0] > 0)}
         if reference is None:
             return out
         valid = self.picture(reference.valid.astype(np.float32))[..., 0] > 0
         mean = max(reference.mean, 1e-30)
         errors = [_relative(e.solution, reference, mean) for e in entries]
         limit = figures.round_limit(float(np.median([np.percentile(np.abs(x), 95) if len(x) else 0.0 for x in errors])))
-        out["differences"] = figures.differences(images, target, valid, labels, limit * mean)
+        out["differences"] = figures.differences(images, target, valid, labels, limit * mean, mean)
         curves = [
             Curve(e.label, np.array([(p.seconds, 100 * p.error) for p in e.curve if p.error is not None], float).reshape(-1, 2))
             for e in entries

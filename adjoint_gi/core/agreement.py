@@ -275,7 +275,7 @@ def _lines(differences: Sequence[Difference], methods: dict[str, Measured]) -> t
         if not d.significant:
             continue
         a, b = methods[d.first], methods[d.second]
-        said = f"{d.first} and {d.second} differ by {100 * abs(d.relative):.2g} % on {d.object}, {_chance(d.p)}"
+        said = f"{d.first} and {d.second} differ by {100 * abs(d.relative):.3g} % on {d.object}, {_chance(d.p)}"
         reasons = [f"{m.label} leaves out {m.leaves_out}" for m in (a, b) if m.leaves_out]
         reasons += [f"{m.label} replaces lobes ({'; '.join(m.notes)})" for m in (a, b) if m.notes]
         if reasons:

@@ -31,6 +31,7 @@ KINDS = {"time": "s", "rays": "rays", "error": "relative RMSE"}
 SPACING = 1.35  # ratio of the times of two snapshots
 FIRST = 0.02  # seconds before which no second snapshot is made
 EFFORT = ("samples", "particles")  # settings that make a random method work longer; the budget ends them
+MARGIN = 2.0  # so many times the samples that a trial run says fit the budget: it must be the budget that ends the run
 PILOT = 2.0  # most seconds spent to find how many samples fit a budget
 STATES = {
     "finished": "finished by itself",
@@ -290,7 +291,7 @@ def with_effort(solver: Solver, world: World, receivers: Receivers, settings: Se
     if budget.kind == "rays" and rays and fraction:
         share = min(share, budget.value / (rays / fraction))
     at = next(f for f in dataclasses.fields(settings) if f.name == name)
-    wanted = 2 ** math.ceil(math.log2(max(1.0, 1.3 * share * getattr(settings, name))))
+    wanted = 2 ** math.ceil(math.log2(max(1.0, MARGIN * share * getattr(settings, name))))
     top = at.metadata["max"]
     yield dataclasses.replace(settings, **{name: int(min(wanted, top) if top is not None else wanted)})
 

@@ -63,9 +63,15 @@ def false_color(values: np.ndarray, limit: float) -> np.ndarray:
     return (1 - a) + a * np.where((x < 0)[..., None], low, high)
 
 
-def side_by_side(images: Sequence[np.ndarray], labels: Sequence[str], exposure: float, columns: int = 4) -> np.ndarray:
-    """Images (h, w, 3) scene-linear of one size in a grid, each with its label below, all at one exposure."""
-    return _grid([encode(i, exposure) for i in images], labels, columns)
+def side_by_side(
+    images: Sequence[np.ndarray], labels: Sequence[str], exposure: float, covered: np.ndarray | None = None, columns: int = 4
+) -> np.ndarray:
+    """Images (h, w, 3) scene-linear of one size in a grid, each with its label below, all at one exposure; grey where not `covered`."""
+    shown = [encode(i, exposure) for i in images]
+    if covered is not None:
+        for picture in shown:
+            picture[~covered] = UNKNOWN
+    return _grid(shown, labels, columns)
 
 
 def round_limit(value: float) -> float:
@@ -77,9 +83,12 @@ def round_limit(value: float) -> float:
 
 
 def differences(
-    images: Sequence[np.ndarray], reference: np.ndarray, covered: np.ndarray, labels: Sequence[str], limit: float
+    images: Sequence[np.ndarray], reference: np.ndarray, covered: np.ndarray, labels: Sequence[str], limit: float, mean: float
 ) -> np.ndarray:
-    """Signed differences (mean of the colours) to the reference (h, w, 3) in false colours with their scale, grey where not `covered`."""
+    """Signed differences (mean of the colours) to the reference (h, w, 3) in false colours, grey where not `covered`.
+
+    The scale below ends at +-`limit` and is labelled in shares of `mean`.
+    """
     shown = []
     for image in images:
         picture = false_color((image - reference).mean(axis=-1), limit)
@@ -95,7 +104,9 @@ def differences(
     out.paste(50, 32, bar)
     for x, value in ((50, -limit), (50 + width / 2, 0.0), (50 + width, limit)):
         out.rectangle(x, 27, 1, 5, GREY)
-        out.text(x, 14, f"{value:.3g}", GREY, TEXT, 0.5)
+        out.text(x, 14, f"{100 * value / mean:+.3g}%" if value else "0", GREY, TEXT, 0.5)
+    if out.width > 50 + width + 40 + 24 * GLYPH_WIDTH * TEXT:
+        out.text(50 + width + 40, 33, "of the reference's mean", GREY, TEXT)
     return out.pixels
 
 

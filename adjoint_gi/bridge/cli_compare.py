@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command `compare`: methods on one scene with one budget, as a page, JSON and pictures."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import bpy
+
+from ..core.comparison import STATES
+from ..core.errors import TargetError
+from ..core.page import best_text, percent
+from ..core.run_comparison import Result
+from . import files
+from .cli_arguments import use_threads
+from .cli_bake import open_scene
+from .cli_progress import Progress, say_notices, seconds_text
+from .compare import Compare
+from .compare_arguments import request_of
+from .compare_files import write_files
+
+INTERRUPTED = 130
+
+
+def compare(options: argparse.Namespace) -> int:
+    """Compare, write, say who won; 0 only when everything was written and read back."""
+    use_threads(options.threads)
+    request = request_of(options)
+    open_scene(options)
+    folder = files.output_folder(str(Path(options.output).absolute()))
+    made = Compare(bpy.context, request)
+    say_notices(made.notices)
+    progress = Progress("Comparison")
+    try:
+        made.driver.run(progress)
+    finally:
+        progress.end()
+    result = made.driver.solution()
+    if result is None or not result.entries:
+        say_notices(result.refused if result is not None else ())
+        if made.driver.state != "finished":
+            raise KeyboardInterrupt
+        raise TargetError("Comparison", "no method took part", "Choose others, or see the reasons above")
+    for path in write_files(made, result, folder):
+        print(f"wrote {path}")
+    for line in table(result):
+        print(line)
+    return INTERRUPTED if result.partial else 0
+
+
+def table(result: Result) -> list[str]:
+    """The result in plain text: one line a method, who wins, who disagrees."""
+    lines = [f"{'method':<26} {'error':>10} {'seconds':>9} {'rays':>14}  run"]
+    for e in sorted(result.entries, key=lambda e: e.error if e.error is not None else float("inf")):
+        state = STATES[e.state] + ("" if e.complete else ", partial result")
+        lines.append(f"{e.method:<26} {percent(e.error):>10} {seconds_text(e.seconds):>9} {e.rays:>14,}  {state}")
+    lines += [f"not compared: {n}" for n in result.refused]
+    lines.append(best_text(result))
+    lines += result.agreement.lines if result.agreement is not None else ()
+    return lines
