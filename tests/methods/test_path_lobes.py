@@ -1,0 +1,122 @@
+"""Path tracing over mirrors, glass and rough lobes, and with each variance reduction switched off."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from adjgi import solvers
+from adjgi.adjoint_gi.core import bsdf
+from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.receivers import CameraReceivers
+from adjgi.adjoint_gi.core.scene import Camera, Color, Light, Lobe, Material
+from adjgi.adjoint_gi.core.world import World
+from adjgi.tests import scenes
+from adjgi.tests.methods.test_path_tracing import PI, Z, check, scattered, solve
+
+solvers.load()
+
+
+def lossless(lobes, albedo=0.5):
+    """A furnace of radiance 1 with a ball of `lobes` inside, which is invisible if it loses and makes nothing."""
+    b = SceneBuilder()
+    b.box("Room", (0, 0, 0), (3, 3, 3), diffuse("Wall", albedo, 1 - albedo), inward=True)
+    vertices, triangles = scenes.icosphere(3)
+    b.mesh("Ball", 0.9 * vertices + 1.5, triangles, Material("Ball", tuple(lobes)), smooth_normals=vertices)
+    return World(b.build())
+
+
+@pytest.mark.parametrize(
+    "lobe",
+    [
+        Lobe("glossy", Color.of(1), 0.0),
+        Lobe("glass", Color.of(1), 0.0, 1.5),
+        Lobe("transparent", Color.of(1)),
+        Lobe("refraction", Color.of(1), 0.0, 1.0),
+    ],
+    ids=["mirror", "glass", "transparent", "refraction"],
+)
+def test_lossless_ball_in_a_furnace_is_invisible(lobe):
+    world = lossless([lobe])
+    walls = np.arange(world.triangle_count) < 12
+    s = solve(world, scattered(world, 1500, triangles=walls), samples=64, max_length=400)
+    # The ball is faceted and shaded smooth, which loses the few rays whose reflection points into the facets.
+    check(s.quantity("irradiance"), [PI] * 3, bias=0.002)
+    assert not s.warnings
+
+
+def test_mirror_cavity():
+    # T8: mirrors that reflect 0.9 and emit 0.1 everywhere.
+    b = SceneBuilder()
+    b.box(
+        "Box", (0, 0, 0), (1, 1, 1), Material("Mirror", (Lobe("glossy", Color.of(0.9), 0.0), Lobe("emission", Color.of(0.1)))), inward=True
+    )
+    world = World(b.build())
+    s = solve(world, scattered(world, 1000), samples=4, max_length=150, roulette=False)
+    check(s.quantity("irradiance"), [PI] * 3, bias=1e-4)
+
+
+@pytest.mark.parametrize(
+    "lobes", [[Lobe("glossy", Color.of(0.9), 0.4)], [Lobe("diffuse", Color.of(0.6)), Lobe("specular", Color.of(1), 0.3, 1.5)]]
+)
+def test_rough_plane_under_a_white_sky_sends_its_directional_albedo(lobes):
+    b = SceneBuilder()
+    b.quad("Plane", (-1, -1, 0), (2, 0, 0), (0, 2, 0), Material("Plane", tuple(lobes)))
+    b.background = (1.0, 1.0, 1.0)
+    slant = 0.6
+    forward = (0, np.sqrt(1 - slant**2), -slant)
+    b.camera = Camera(
+        "orthographic", (0, -2 * forward[1], 2 * slant), (1, 0, 0), (0, slant, forward[1]), forward, (-0.3, 0.3, -0.2, 0.2), 32, 32
+    )
+    world = World(b.build())
+    s = solve(world, CameraReceivers(world), samples=64)
+    # By quadrature over the upper hemisphere, independent of sampling.
+    z = (np.arange(400) + 0.5) / 400
+    phi = 2 * PI * (np.arange(400) + 0.5) / 400
+    zz, pp = (a.ravel() for a in np.meshgrid(z, phi))
+    r = np.sqrt(1 - zz**2)
+    wi = np.stack([r * np.cos(pp), r * np.sin(pp), zz], 1).astype(np.float32)
+    n = len(wi)
+    wo = np.tile(-np.float32(forward), (n, 1))
+    up = np.tile(np.float32([0, 0, 1]), (n, 1))
+    at = bsdf.BsdfTable(world.scene).at(np.zeros(n, np.int32), zz * 0, zz * 0, up, np.ones(n, np.float32), wo)
+    albedo = bsdf.evaluate(at, wi)[0].astype(float).mean(axis=0) * 2 * PI
+    check(s.quantity("radiance"), albedo, bias=0.003)
+
+
+SWITCHES = ("light_importance", "lobe_importance", "joined", "stratified")
+
+
+@pytest.mark.parametrize("off", [(x,) for x in SWITCHES] + [("light_importance", "lobe_importance")], ids="-".join)
+def test_without_a_variance_reduction_the_mean_is_the_same_and_the_noise_higher(off):
+    world = World(scenes.cornell(boxes=False))
+    floor = np.arange(world.triangle_count) < 2
+    receivers = scattered(world, 300, triangles=floor)
+    options = {"samples": 64, "max_length": 3}
+    full = runs(world, receivers, **options)
+    less = runs(world, receivers, **options, **dict.fromkeys(off, False))
+    error = np.hypot(*(x.mean(axis=1).std(ddof=1) for x in (full, less))) / math.sqrt(len(full))
+    assert abs(full.mean() - less.mean()) < Z * error
+    # Joining helps where a light is near; on the floor, far from a small lamp, light points alone are as good.
+    if "joined" not in off:
+        assert noise(less) > 1.1 * noise(full)
+
+
+def runs(world, receivers, count=12, **options):
+    """(count, n) irradiance by independent seeds."""
+    return np.array([solve(world, receivers, seed, **options).quantity("irradiance")[:, 0] for seed in range(count)], float)
+
+
+def noise(values):
+    """Root mean square standard deviation of the receivers."""
+    return float(np.sqrt(values.var(axis=0, ddof=1).mean()))
+
+
+def test_lamps_without_size_need_light_points():
+    b = SceneBuilder()
+    b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), diffuse("Floor", 0.5))
+    b.light(Light("Lamp", "point", (1.0, 1.0, 1.0), (0, 0, 1)))
+    world = World(b.build())
+    s = solve(world, scattered(world, 10), samples=4, light_importance=False)
+    assert not s.direct.any() and any("Lamp" in str(w) for w in s.warnings)
