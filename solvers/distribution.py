@@ -144,7 +144,7 @@ class Tracer:
         s = settings
         rays = 6 * s.brdf_samples**s.split_depth
         rays += sum(s.brdf_samples**d * (s.light_samples + s.brdf_samples) for d in range(s.split_depth))
-        self.batch = max(256, min(BATCH, (1 << 17) // rays))
+        self.batch = max(256, min(BATCH, (1 << 16) // rays))
 
     def place(self, owner: np.ndarray, number: np.ndarray, rng: np.random.Generator) -> tuple[Points, Estimate]:
         """Points of samples `number` (n,) of receivers `owner` (n,), and the estimate at these."""

@@ -126,7 +126,7 @@ def test_even_numbers_have_no_more_variance(sampling, samples):
 def test_partial_sums_of_the_furnace(split_depth, joined):
     """T1, rho = 0.5, cut off after n reflections: 1, 1.5, 1.75, 1.875, 1.9375 ..., and 2 without a limit."""
     # Light rays alone are too noisy in the corners of a cube, where walls that shine touch: a ball of triangles is as exact.
-    world = World(scenes.cube(0.5, 1.0) if joined else scenes.two_zone_sphere(1, (1.0, 1.0), (0.5, 0.5)))
+    world = World(scenes.cube(0.5, 1.0) if joined else scenes.two_zone_sphere(3, (1.0, 1.0), (0.5, 0.5)))
     rng = np.random.default_rng(3)
     n = 1200
     u, v = rng.random((2, n))
@@ -170,9 +170,11 @@ def test_cavity_of_mirrors_and_diffuse_walls(joined):
     """T8: every wall emits what it does not reflect, mirrors too, so that the radiance is 1 everywhere."""
     mirror = Material("Mirror", (Lobe("glossy", Color.of(0.7), 0.0), Lobe("emission", Color.of(0.3))))
     wall = diffuse("Wall", 0.6, 0.4)
+    # A ball of triangles, one in three a mirror: light rays alone are too noisy in corners where walls that shine touch.
+    vertices, triangles = scenes.icosphere(2)
     b = SceneBuilder()
-    b.box("Cube", (0, 0, 0), (1, 1, 1), [mirror, wall, wall, wall, mirror, wall], inward=True)
-    found = solve(*view(b, (0.4, 0.3, 0.6), (-1, 0.3, -0.4), 1.0, 24), samples=16 if joined else 64, joined=joined)
+    b.mesh("Ball", vertices, triangles[:, ::-1], [mirror, wall], which=np.minimum(np.arange(len(triangles)) % 3, 1))
+    found = solve(*view(b, (0.4, 0.3, 0.1), (-1, 0.3, -0.4), 1.0, 24), samples=16, joined=joined)
     agrees(found.quantity("radiance").mean(axis=1), 1.0)
 
 
@@ -199,24 +201,24 @@ def test_gloss_reflects_its_albedo(roughness):
     assert abs(value.mean() - ours.mean()) < Z * error
 
 
-def glossy_cornell(size):
-    """The Cornell box with a mirror and a coated box."""
+def glossy_cornell(size, roughness=0.3):
+    """The Cornell box with a glossy and a coated box. The lamp hangs lower: light rays alone are too noisy on a ceiling close to it."""
     scene = scenes.cornell(size, size)
+    vertices = scene.vertices.copy()
+    lamp = next(o for o in scene.objects if o.name == "Lamp")
+    vertices[lamp.first_vertex : lamp.first_vertex + lamp.vertex_count, 2] = 0.8
     materials = list(scene.materials)
     for o in scene.objects:
         m = scene.material[o.first_triangle]
         if o.name.startswith("Tall"):
-            materials[m] = Material("Gloss", (Lobe("glossy", Color.of(0.8), 0.3),))
+            materials[m] = Material("Gloss", (Lobe("glossy", Color.of(0.8), roughness),))
         if o.name.startswith("Short"):
-            materials[m] = Material("Coat", (Lobe("diffuse", Color.of(0.4, 0.4, 0.7)), Lobe("specular", Color.of(1), 0.4, 1.5)))
-    return World(dataclasses.replace(scene, materials=tuple(materials)))
+            materials[m] = Material("Coat", (Lobe("diffuse", Color.of(0.4, 0.4, 0.7)), Lobe("specular", Color.of(1), roughness + 0.1, 1.5)))
+    return World(dataclasses.replace(scene, vertices=vertices, materials=tuple(materials)))
 
 
-@pytest.fixture(scope="module")
-def single_walks():
+def single_walks(world, camera):
     """Six pictures of the glossy Cornell box, (6, 400, 3), by walks that never split, up to path length 5."""
-    world = glossy_cornell(20)
-    camera = CameraReceivers(world)
     walk = Walk(world, Emitters(world), BsdfTable(world.scene), 0, 5, 1 << 30)
     rng = np.random.default_rng(8)
     others = []
@@ -232,23 +234,29 @@ def single_walks():
     return np.array(others)
 
 
-@pytest.mark.parametrize("options", [{}, {"joined": False, "sampling": "sobol"}, {"split_depth": 2, "brdf_samples": 2}])
-def test_agrees_with_single_walks(single_walks, options):
-    """Blocks of the picture of a glossy Cornell box agree with walks that never split, within noise."""
-    world = glossy_cornell(20)
+@pytest.mark.parametrize(
+    ("roughness", "options"),
+    [(0.3, {}), (0.7, {"joined": False, "sampling": "sobol"}), (0.3, {"split_depth": 2, "brdf_samples": 2})],
+)
+def test_agrees_with_single_walks(roughness, options):
+    """Blocks of the picture of a glossy Cornell box agree with walks that never split, within noise.
+
+    Light rays alone find a sharp gloss so seldom that no test of means holds; there the gloss is rougher.
+    """
+    world = glossy_cornell(20, roughness)
     camera = CameraReceivers(world)
     runs = [solve(world, camera, seed, samples=9, max_length=5, **options).quantity("radiance") for seed in range(6)]
 
     def blocks(pictures):
         return np.array(pictures).reshape(6, 4, 5, 4, 5, 3).mean(axis=(2, 4, 5))
 
-    a, b = blocks(runs), blocks(single_walks)
+    a, b = blocks(runs), blocks(single_walks(world, camera))
     # Sixteen blocks, standard errors of six runs each: t of 10 degrees of freedom exceeds 6.2 in one of ten thousand.
     t = (a.mean(axis=0) - b.mean(axis=0)) / np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / 6)
     assert np.abs(t).max() < 6.2
     whole_a, whole_b = a.mean(axis=(1, 2)), b.mean(axis=(1, 2))
     error = math.sqrt((whole_a.var(ddof=1) + whole_b.var(ddof=1)) / 6)
-    assert error < 0.025 * whole_b.mean()
+    assert error < 0.015 * whole_b.mean()
     assert abs(whole_a.mean() - whole_b.mean()) < 5 * error
 
 
@@ -259,7 +267,7 @@ def test_agrees_with_single_walks(single_walks, options):
 @pytest.mark.parametrize(("distance", "focus"), [(2.0, 4.0), (6.0, 4.0), (4.0, 4.0)])
 def test_blur_of_a_small_light(kind, distance, focus):
     """A small light at `distance` spreads over a disk of radius R |f - d| / d on the plane of focus (R |f - d| / f without perspective)."""
-    radius, side, size = 0.3, 0.02, 48
+    radius, side, size = 0.3, 0.06, 48
     b = SceneBuilder()
     # As large from the camera as a square of `side` in the plane of focus.
     half = 0.5 * side * (distance / focus if kind == "perspective" else 1)
