@@ -31,7 +31,7 @@ spec.loader.exec_module(sys.modules["adjgi"])
 CONSOLE = LOAD + "from adjgi.adjoint_gi.bridge.cli import console\nconsole()\n"
 TARGETS = {
     "texture": ["--resolution", "512"],
-    "attribute": ["--domain", "CORNER"],
+    "attribute": ["--domain", "CORNER", "--new-object"],  # its modifiers triangulate it
     "render": ["--size", "480x270"],
 }
 # Work that looks finished; methods that are not named run with their defaults.

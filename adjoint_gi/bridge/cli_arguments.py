@@ -45,7 +45,7 @@ def make_parser(in_blender: bool) -> argparse.ArgumentParser:
         nargs="+",
         default=list(DEMO_METHODS),
         metavar="ID",
-        help="methods that make a picture, or `all` (default: %(default)s)",
+        help="methods that make a picture, or all (default: %(default)s)",
     )
     demo.add_argument("--size", type=int, default=480, help="width and height of the pictures (default: %(default)s)")
     demo.add_argument("--threads", type=int, metavar="N", help=f"threads, 1 to {MOST_THREADS} (default: one for each core)")

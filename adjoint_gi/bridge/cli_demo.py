@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command `demo`: the Cornell box baked by every method and to every target, as files that a person can open."""
+"""The command `demo`: the Cornell box baked by several methods and to every target, as files that a person can open."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ from .cli_bake import require_blend, save_blend, solve, summary, write_report
 from .cli_progress import seconds_text
 from .demo import build_cornell
 from .extract import extract
-from .request import RECEIVERS
 
 ATTRIBUTE = "AdjointGI"
 # What the pictures and the lightmap need to look finished; methods that are not named run with their defaults.
@@ -42,6 +41,9 @@ def demo(options: argparse.Namespace) -> int:
     """Build, bake, write, and say what to open; 130 when it was interrupted."""
     if not 16 <= options.size <= LARGEST:
         raise SettingsError("--size", f"{options.size} is not possible", f"Give 16 to {LARGEST}")
+    wanted = [s.spec.id for s in registry.methods() if "camera" in s.spec.receivers] if options.methods == ["all"] else options.methods
+    for name in wanted:
+        registry.method(name)  # refuses a name that is no method before anything is baked
     use_threads(options.threads)
     began = time.perf_counter()
     folder = files.output_folder(str(Path(options.output).absolute()))
@@ -49,23 +51,21 @@ def demo(options: argparse.Namespace) -> int:
         bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = build_cornell(size=(options.size, options.size))
     with bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
-        return _bake_all(folder, began)
+        return _bake_all(wanted, folder, began)
 
 
-def _bake_all(folder: Path, began: float) -> int:
-    """All bakes of the open Cornell box into `folder`."""
+def _bake_all(methods: list[str], folder: Path, began: float) -> int:
+    """All bakes of the open Cornell box into `folder`; returns the exit code."""
     opened: list[tuple[str, Path]] = []
     reports = []
 
     # Step 1: the picture by each method.
-    for solver in registry.methods():
-        if RECEIVERS["render"] not in solver.spec.receivers:
-            continue
-        made = _bake(solver.spec.id, "render", folder)
+    for method in methods:
+        made = _bake(method, "render", folder)
         if made is None:
             return 130
         reports.append(made.report())
-        opened.append((f"picture by {solver.spec.label}", Path(made.files[1])))
+        opened.append((f"picture by {made.driver.solver.spec.label}", Path(made.files[1])))
 
     # Step 2: a lightmap for all objects by path tracing, and vertex colours by progressive radiosity.
     made = _bake("path_tracing", "texture", folder, resolution=256, atlas=True)

@@ -14,6 +14,7 @@ from adjgi import solvers
 from adjgi.adjoint_gi.bridge import bake as module
 from adjgi.adjoint_gi.bridge import demo, targets
 from adjgi.adjoint_gi.bridge.bake import ABOUT, Bake, BakeRequest
+from adjgi.adjoint_gi.bridge.cli_arguments import DEMO_METHODS
 from adjgi.adjoint_gi.bridge.write_attribute import linked_attribute
 from adjgi.adjoint_gi.bridge.write_image import linked_image, read_pixels
 from adjgi.adjoint_gi.core import registry
@@ -100,8 +101,8 @@ def test_furnace_to_picture_with_all_passes(tmp_path):
     assert layers["Depth"].min() == pytest.approx(0.5, rel=0.01) and about["quantity"] == "radiance"
 
 
-@pytest.mark.parametrize("method", [s.spec.id for s in registry.methods() if {"texels", "vertices"} <= set(s.spec.receivers)])
-def test_every_method_bakes_texture_and_attribute(method):
+@pytest.mark.parametrize("method", DEMO_METHODS)
+def test_each_kind_of_method_bakes_texture_and_attribute(method):
     room = furnace()
     values = {"path_tracing": {"samples": 16}, "particle_tracing": {"particles": 20000}}.get(method)
     for target in ("texture", "attribute"):

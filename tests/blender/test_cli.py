@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from adjgi import solvers
 from adjgi.adjoint_gi.bridge import cli, cli_demo, cli_progress, demo
+from adjgi.adjoint_gi.bridge.cli_arguments import DEMO_METHODS
 from adjgi.adjoint_gi.core import registry
 from adjgi.adjoint_gi.core.errors import WriteError
 from adjgi.adjoint_gi.core.exr import read_exr
@@ -129,7 +130,7 @@ def test_lightmap_packed_into_a_blend(tmp_path):
     assert tuple(image.size) == (64, 64) and image.packed_file is not None
 
 
-@pytest.mark.parametrize("method", [s.spec.id for s in registry.methods() if "camera" in s.spec.receivers])
+@pytest.mark.parametrize("method", DEMO_METHODS)
 def test_bake_picture(tmp_path, method):
     box()
     values = {"path_tracing": ["--set", "samples=2"], "particle_tracing": ["--set", "particles=20000"]}.get(method, [])
@@ -269,7 +270,7 @@ def test_demo_makes_every_picture(tmp_path, monkeypatch):
     monkeypatch.setattr(cli_demo, "QUICK", {("path_tracing", t): {"samples": "2"} for t in ("render", "texture")})
     code, out, err = command("demo", "--output", tmp_path, "--size", 32)
     assert code == 0, err
-    pictures = sum("camera" in s.spec.receivers for s in registry.methods())
+    pictures = len(DEMO_METHODS)
     assert len(list(tmp_path.glob("Cornell_Box*.png"))) == pictures + 1
     assert len(list(tmp_path.glob("*.exr"))) == pictures + 3 and (tmp_path / "cornell.blend").is_file()
     report = json.loads((tmp_path / "report.json").read_text())
@@ -279,6 +280,12 @@ def test_demo_makes_every_picture(tmp_path, monkeypatch):
     (vertex,) = tmp_path.glob("vertex_colors*.exr")
     assert read_exr(vertex)[0][""].mean() > 0.1
     assert command("demo", "--output", tmp_path, "--size", 8)[0] == 2
+    assert command("demo", "--output", tmp_path, "--methods", "alchemy")[0] == 2
+
+
+def test_demo_shows_each_quadrant_of_the_taxonomy():
+    specs = [registry.method(m).spec for m in DEMO_METHODS]
+    assert len({(s.strategies, s.natures) for s in specs}) == 4
 
 
 @needs_wheel
