@@ -130,4 +130,28 @@ def _unwrapped(obj: bpy.types.Object, resolution: tuple[int, int], padding: int)
     uv, _ = unwrap(np.where(np.isfinite(vertices), vertices, 0.0), triangles[good], polygon[good], resolution, padding)
     out = np.zeros((len(mesh.loops), 2), np.float32)
     out[corners[good]] = uv
+    _carry_on(out, vertices[triangles], corners, polygon, area, good)
     return out
+
+
+def _carry_on(out: np.ndarray, p: np.ndarray, corners: np.ndarray, polygon: np.ndarray, area: np.ndarray, good: np.ndarray) -> None:
+    """Give corners that only flat triangles have the place in `out` (corners, 2) to which the largest triangle of their face maps them.
+
+    A modifier may cut the face along another diagonal, and then these corners are those of triangles with an area.
+    """
+    own = np.zeros(len(out), bool)
+    own[corners[good]] = True
+    which, k = np.nonzero(~good[:, None] & ~own[corners] & np.isfinite(p).all(axis=2))
+    order = np.flatnonzero(good)[np.argsort(area[good], kind="stable")]
+    largest = np.full(int(polygon.max(initial=-1)) + 1, -1)
+    largest[polygon[order]] = order  # the last of equal indices stays
+    base = largest[polygon[which]]
+    which, k, base = which[base >= 0], k[base >= 0], base[base >= 0]
+    # Barycentric coordinates (s, t) of the corner in that triangle, by the normal equations.
+    e1, e2, d = p[base, 1] - p[base, 0], p[base, 2] - p[base, 0], p[which, k] - p[base, 0]
+    a, b, c = (np.einsum("ij,ij->i", x, y) for x, y in ((e1, e1), (e1, e2), (e2, e2)))
+    u, v = np.einsum("ij,ij->i", d, e1), np.einsum("ij,ij->i", d, e2)
+    det = np.maximum(a * c - b * b, 1e-300)
+    s, t = (c * u - b * v) / det, (a * v - b * u) / det
+    uv = out[corners[base]].astype(np.float64)
+    out[corners[which, k]] = uv[:, 0] + s[:, None] * (uv[:, 1] - uv[:, 0]) + t[:, None] * (uv[:, 2] - uv[:, 0])

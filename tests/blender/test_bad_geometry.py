@@ -15,6 +15,7 @@ import pytest
 from adjgi.adjoint_gi.bridge import cli
 from adjgi.adjoint_gi.bridge import preflight as module
 from adjgi.adjoint_gi.bridge.bake import preflight
+from adjgi.adjoint_gi.bridge.lightmap_uv import make_lightmap_uv
 from adjgi.tests import baking
 from adjgi.tests.cycles import add_light, diffuse_material
 from adjgi.tests.hostile import CUBE, SQUARE, Case, camera, good, mesh, play, put, room
@@ -225,6 +226,19 @@ CASES = [
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_bad_geometry(case, tmp_path, capsys):
     play(case, tmp_path, capsys)
+
+
+def test_06_a_corner_on_a_line_is_unwrapped_with_its_face():
+    """It belongs to a flat triangle only, until a modifier cuts the face along the other diagonal (seen on zdm2)."""
+    points = [(0, 0, 0), (1, 0, 0), (2, 0, 0), (0.5, 1, 0)]
+    bad = mesh(points, [(0, 1, 2, 3)])
+    bpy.context.view_layer.update()
+    name = make_lightmap_uv(bad, resolution=64)
+    uv = np.array([x.vector for x in bad.data.uv_layers[name].uv])
+    flat = np.column_stack([np.array(points)[:, :2], np.ones(4)])
+    fitted, *_ = np.linalg.lstsq(flat, uv, rcond=None)
+    np.testing.assert_allclose(flat @ fitted, uv, atol=1e-5)
+    assert abs(np.linalg.det(fitted[:2])) > 0.01
 
 
 # ---- 11, 13, 15: the same result as from a scene without the trouble
