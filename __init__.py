@@ -5,9 +5,9 @@
 def _parts() -> tuple:
     """The modules that register something, in order."""
     from . import operators, panels
-    from .adjoint_gi.bridge import check, cli, engine, jobs, preferences, properties
+    from .adjoint_gi.bridge import check, cli, compare_job, compare_records, engine, jobs, preferences, properties
 
-    return (properties, preferences, jobs, check, operators, engine, panels, cli)
+    return (properties, compare_records, preferences, jobs, compare_job, check, operators, engine, panels, cli)
 
 
 def register() -> None:

@@ -5,6 +5,6 @@ from __future__ import annotations
 
 import bpy
 
-from . import bake, demo, result
+from . import bake, compare, demo, result
 
-register, unregister = bpy.utils.register_classes_factory((*bake.classes, *result.classes, *demo.classes))
+register, unregister = bpy.utils.register_classes_factory((*bake.classes, *result.classes, *demo.classes, *compare.classes))

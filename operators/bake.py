@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..adjoint_gi.bridge import check, jobs
+from ..adjoint_gi.bridge import check, compare_job, jobs
 from ..adjoint_gi.bridge.properties import request_of
 from ..adjoint_gi.bridge.records import AdjointError, Notice
 
@@ -34,6 +34,9 @@ class ADJOINTGI_OT_bake(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         if jobs.running():
             cls.poll_message_set("A bake is running")
+            return False
+        if compare_job.running():
+            cls.poll_message_set("Methods are being compared")
             return False
         if context.scene.library:
             cls.poll_message_set("The scene is linked from another file")

@@ -3,16 +3,18 @@
 
 from __future__ import annotations
 
-from . import render, view3d
+from . import compare, render, view3d
 
 
 def register() -> None:
     """Add the panels."""
     view3d.register()
+    compare.register()
     render.register()
 
 
 def unregister() -> None:
     """Remove them."""
     render.unregister()
+    compare.unregister()
     view3d.unregister()

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panel "Compare" of the tab: tick methods, choose one budget and a reference, run; a table, the agreement, the pictures."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..adjoint_gi.bridge import compare_job, compare_records, jobs
+from . import text
+from .draw import field, notice
+from .view3d import Tab
+
+
+class ADJOINTGI_PT_compare(Tab, bpy.types.Panel):
+    """Methods side by side within one budget"""
+
+    bl_label = "Compare"
+    bl_parent_id = "ADJOINTGI_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Choice and buttons."""
+        choice(self.layout, context)
+        run(self.layout, context)
+
+
+class ADJOINTGI_PT_compare_result(Tab, bpy.types.Panel):
+    """The last comparison"""
+
+    bl_label = "Comparison"
+    bl_parent_id = "ADJOINTGI_PT_compare"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return bool(context.scene.adjoint_gi_compare.result.headline)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Table, agreement, pictures."""
+        result(self.layout, context)
+
+
+def choice(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Methods, budget, reference, receivers; only what is used."""
+    state = context.scene.adjoint_gi_compare
+    layout = layout.column()
+    layout.enabled = not (jobs.running() or compare_job.running())
+    layout.use_property_decorate = False
+    ticks = layout.box().column(align=True)
+    for spec in compare_records.compared():
+        ticks.prop(state, compare_records.switch(spec.id))
+    column = layout.column()
+    field(column, state, "budget")
+    field(column, state, {"time": "seconds", "rays": "mega_rays", "error": "error"}[state.budget])
+    if state.budget != "time":
+        field(column, state, "limit")
+    column.separator()
+    field(column, state, "reference")
+    for name in {"method": ("reference_method", "reference_seconds"), "cycles": ("cycles_samples",), "constant": ("constant",)}.get(
+        state.reference, ()
+    ):
+        field(column, state, name)
+    column.separator()
+    field(column, state, "receivers")
+    field(column, state, "resolution")
+    if state.receivers == "texture":
+        field(column, state, "selection_only")
+    field(column, state, "folder")
+
+
+def run(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """The button, or how far it is."""
+    job = compare_job.current()
+    if job is not None and job.active:
+        driver = job.made.driver
+        left = f", {text.duration(driver.seconds_left)} left" if driver.seconds_left is not None else ""
+        layout.progress(factor=driver.fraction, text=f"{100 * driver.fraction:.0f} %{left}")
+        text.label(layout, context, driver.text)
+        row = layout.row()
+        row.scale_y = 1.4
+        row.enabled = job.state == "running"
+        row.operator("adjoint_gi.stop_comparing", text="Stop" if job.state == "running" else "Stopping...")
+        return
+    row = layout.row()
+    row.scale_y = 1.4
+    row.operator("adjoint_gi.compare")
+    if job is not None and job.notices:
+        box = layout.box()
+        for item in job.notices:
+            notice(box, context, item)
+
+
+def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Who wins, one box a method, what agrees, the pictures."""
+    record = context.scene.adjoint_gi_compare.result
+    if record.partial:
+        text.label(layout, context, "Partial: it was stopped before its end", "ERROR")
+    text.label(layout, context, record.headline, "SOLO_ON")
+    if record.reference:
+        text.label(layout, context, f"Reference: {record.reference}", "BLANK1")
+    for row in record.rows:
+        method(layout, context, row, record.unit)
+    for line in record.lines.splitlines():
+        box = layout.box()
+        loud = line.startswith("DISAGREE")
+        box.alert = loud
+        text.label(box, context, line, "ERROR" if loud else "CHECKMARK" if line.startswith("Agree") else "INFO", 1)
+    for entry in record.pictures:
+        row = layout.row()
+        row.operator("adjoint_gi.show_comparison", text=entry.name.title(), icon="IMAGE_DATA").picture = entry.name
+    if record.notices:
+        box = layout.box()
+        for item in record.notices:
+            notice(box, context, item.notice())
+    for path in record.files.splitlines()[:2]:
+        text.label(layout, context, path, "FILE")
+    layout.operator("adjoint_gi.clear_comparison")
+
+
+def method(layout: bpy.types.UILayout, context: bpy.types.Context, row: bpy.types.PropertyGroup, unit: str) -> None:
+    """Error, seconds, rays, fluxes with their gap, and energy balance of one method."""
+    box = layout.box()
+    head = box.row()
+    head.label(text=row.label, icon="SOLO_ON" if row.best else "DOT")
+    right = head.row()
+    right.alignment = "RIGHT"
+    right.label(text=f"{100 * row.error:.3g} %" if row.error >= 0 else "-")
+    column = box.column(align=True)
+    column.scale_y = 0.8
+    text.label(column, context, f"{text.duration(row.seconds)}, {text.count(int(row.rays or 0))} rays, {row.state}", indent=1)
+    flux = f"Flux {row.gathered:.4g} {unit}"
+    if row.has_gap:
+        flux = f"Flux gathered {row.gathered:.4g} {unit}, shot {row.shot:.4g} {unit}, gap {100 * row.gap:+.2g} %"
+    if row.has_balance:
+        flux += f"; energy gap {text.percent(row.balance)}"
+    text.label(column, context, flux, indent=1)
+
+
+CLASSES = (ADJOINTGI_PT_compare, ADJOINTGI_PT_compare_result)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)
