@@ -10,6 +10,7 @@ from ..adjoint_gi.bridge.properties import MethodSpec, chosen, group_name, metho
 from ..adjoint_gi.bridge.records import Notice
 from . import text
 
+NARROW = 400  # pixels; a sidebar is less wide
 ICONS = {"info": "INFO", "warning": "ERROR", "error": "CANCEL"}
 
 
@@ -62,7 +63,10 @@ def _settings(layout: bpy.types.UILayout, context: bpy.types.Context, which: int
     group = getattr(context.scene.adjoint_gi, group_name(solver.spec.id))
     column = layout.column()
     for name in own_and_common(solver)[which]:
-        field(column, group, name)
+        if context.region and context.region.width > NARROW * context.preferences.system.ui_scale:
+            column.prop(group, name)
+        else:
+            field(column, group, name)
 
 
 def _form(layout: bpy.types.UILayout) -> None:
@@ -73,7 +77,7 @@ def _form(layout: bpy.types.UILayout) -> None:
 
 
 def field(layout: bpy.types.UILayout, data: bpy.types.PropertyGroup, name: str) -> None:
-    """One property with its name on the left. Names of settings are long: they get half of the width, not Blender's two fifths."""
+    """One property in a narrow region: its name on the left gets half of the width, as Blender's two fifths cut long names off."""
     item = data.bl_rna.properties[name]
     switch = item.type == "BOOLEAN"
     split = layout.split(factor=0.12 if switch else 0.52)
@@ -187,8 +191,10 @@ def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         ("Time", text.duration(record.seconds)),
         ("Rays", text.count(int(record.rays or 0))),
     ]
-    unit = "W/m² sr" if record.target == "render" else "W/m²"
-    rows.append((f"Mean {'Radiance' if record.target == 'render' else record.quantity.title()}", f"{sum(record.mean) / 3:.4g} {unit}"))
+    potential = record.method == "potential"
+    unit = "" if potential else "W/m² sr" if record.target == "render" else "W/m²"
+    name = record.quantity.title() if record.target != "render" else "Potential" if potential else "Radiance"
+    rows.append((f"Mean {name}", f"{sum(record.mean) / 3:.4g} {unit}".rstrip()))
     if record.has_balance:
         rows += [
             ("Emitted", text.watts(record.emitted)),

@@ -269,7 +269,7 @@ class Bake:
         """What a result says of itself."""
         return {
             "method": solution.method,
-            "quantity": self.request.quantity if solution.measure == "irradiance" else "radiance",
+            "quantity": solution.whole if self.request.target == "render" else self.request.quantity,
             "partial": "yes" if solution.partial else "no",
             "seconds": f"{solution.seconds:.3f}",
             "settings": json.dumps(solution.settings, sort_keys=True),

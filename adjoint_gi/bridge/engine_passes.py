@@ -69,11 +69,11 @@ class Geometry:
 
 def pixels(spec: MethodSpec, solution: Solution, geometry: Geometry, plan: Plan) -> dict[str, np.ndarray]:
     """(n, channels) float32 for every pass; with a transparent film the background's share is taken out."""
-    radiance, emission = solution.quantity("radiance"), solution.emitted
+    radiance, emission = solution.quantity(solution.whole), solution.emitted
     alpha = np.ones_like(geometry.alpha)
     if plan.transparent:
         alpha = geometry.alpha
-        behind = (1 - alpha)[:, None] * np.asarray(plan.arrays.background, np.float32)
+        behind = (1 - alpha)[:, None] * np.asarray(plan.arrays.background, np.float32) * (solution.measure == "radiance")
         radiance, emission = (np.where(alpha[:, None] > 0, np.maximum(x - behind, 0), 0) for x in (radiance, emission))
     out = {
         "Combined": np.concatenate([radiance, alpha[:, None]], axis=1),

@@ -252,6 +252,7 @@ def place(groups: list[Group], default_color: bool, notices: Notices) -> Placed:
                     uvs=mesh.uvs,
                     render_uv=mesh.render_uv,
                     colors=colors,
+                    selected=mesh.selected,
                 )
             )
         vertex_base += nv * k

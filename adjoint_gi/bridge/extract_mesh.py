@@ -25,6 +25,7 @@ class MeshArrays:
     normals         (nt, 3, 3) float32 unit corner normals
     smooth          (nt,) bool
     slot            (nt,) int32 material slot as stored, which may be out of range
+    selected        (nt,) bool, whether its polygon is selected
     uvs, colors     per layer (nt, 3, 2) and (nt, 3, 4) float32 per triangle corner
     render_color    the colour attribute that nodes without a name read
     """
@@ -36,6 +37,7 @@ class MeshArrays:
     normals: np.ndarray
     smooth: np.ndarray
     slot: np.ndarray
+    selected: np.ndarray
     uvs: dict[str, np.ndarray]
     render_uv: str
     colors: dict[str, np.ndarray]
@@ -54,6 +56,7 @@ class MeshArrays:
             normals=np.ascontiguousarray(self.normals[:, swap]),
             smooth=self.smooth,
             slot=self.slot,
+            selected=self.selected,
             uvs={name: np.ascontiguousarray(a[:, swap]) for name, a in self.uvs.items()},
             render_uv=self.render_uv,
             colors={name: np.ascontiguousarray(a[:, swap]) for name, a in self.colors.items()},
@@ -85,6 +88,7 @@ def read_mesh(mesh: bpy.types.Mesh, name: str, notices: Notices) -> MeshArrays |
 
     normals, smooth = _normals(mesh, vertices, triangles, corners, polygon)
     slot = _get(mesh.polygons, "material_index", 1, np.int32)[polygon]
+    selected = _get(mesh.polygons, "select", 1, bool)[polygon]
     uvs = {layer.name: _uv_layer(layer, corners, name, notices) for layer in mesh.uv_layers}
     return MeshArrays(
         vertices=vertices,
@@ -94,6 +98,7 @@ def read_mesh(mesh: bpy.types.Mesh, name: str, notices: Notices) -> MeshArrays |
         normals=normals,
         smooth=smooth,
         slot=slot,
+        selected=selected,
         uvs=uvs,
         render_uv=next((layer.name for layer in mesh.uv_layers if layer.active_render), ""),
         colors=_colors(mesh, triangles, corners, polygon, name, notices),

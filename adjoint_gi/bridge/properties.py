@@ -17,7 +17,7 @@ from ..core.registry import MethodSpec, Nature, Solver, Strategy
 from ..core.settings import Settings
 from . import fields
 from .records import ADJOINTGI_PG_notice, ADJOINTGI_PG_result
-from .request import BakeRequest
+from .request import BakeRequest, fitting_quantity
 
 __all__ = ["MethodSpec", "chosen", "group_name", "method_label", "own_and_common", "quadrant", "request_of", "settings_of"]
 
@@ -40,6 +40,7 @@ QUANTITIES = (
     ("direct", "Direct", "Irradiance that comes straight from lights and emitting surfaces", 2),
     ("indirect", "Indirect", "Irradiance that was reflected at least once", 3),
     ("emitted", "Emitted", "Radiosity of the surface's own emission", 4),
+    ("potential", "Potential", "Share of the light emitted here that reaches the chosen receivers; only of the method Potential", 5),
 )
 DOMAINS = (
     ("POINT", "Vertices", "One value for each vertex: smooth everywhere", 0),
@@ -165,7 +166,7 @@ def request_of(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer | None = 
         settings=settings_of(scene, solver.spec.id),
         target=state.target,
         objects=objects,
-        quantity=state.quantity,
+        quantity=fitting_quantity(solver, state.quantity),
         resolution=state.resolution,
         atlas=state.atlas,
         uv_layer=state.uv_layer,

@@ -69,7 +69,7 @@ def store(
         b = solution.balance
         record.has_balance = True
         record.emitted, record.absorbed, record.escaped, record.unshot, record.gap = b.emitted, b.absorbed, b.escaped, b.unshot, b.gap
-    name = "radiance" if solution.measure == "radiance" else quantity
+    name = solution.whole if target == "render" else quantity
     got = solution.weight > 0
     if got.any():
         record.mean = solution.quantity(name)[got].mean(axis=0, dtype=float).tolist()

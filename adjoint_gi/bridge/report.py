@@ -71,11 +71,15 @@ def of_bake(bake: Bake) -> dict[str, Any]:
     return out
 
 
+# Of the potential towards a camera the unit is m-2 or sr-1, as `core.detectors` says.
+UNITS = {"irradiance": "W m-2", "radiance": "W m-2 sr-1", "potential": "share"}
+
+
 def of_solution(solution: Solution) -> dict[str, Any]:
     """Rays, energy balance, history and means of a result."""
     got = solution.weight > 0
     names = ("irradiance", "radiosity", "direct", "indirect", "emitted")
-    names = names if solution.measure == "irradiance" else ("radiance", "direct", "indirect", "emitted")
+    names = names if solution.measure == "irradiance" else (solution.whole, "direct", "indirect", "emitted")
     means = {name: _mean(solution.quantity(name), got) for name in names}
     balance = None
     if solution.balance is not None:
@@ -86,7 +90,7 @@ def of_solution(solution: Solution) -> dict[str, Any]:
         "energy_balance": balance,
         "measure": solution.measure,
         "mean": means,
-        "unit": "W m-2" if solution.measure == "irradiance" else "W m-2 sr-1",
+        "unit": UNITS[solution.measure],
         "without_samples": int((~got).sum()),
         "history": [[float(a), float(b)] for a, b in solution.history],
     }

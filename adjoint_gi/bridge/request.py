@@ -13,6 +13,8 @@ from ..core.registry import Solver
 from ..core.settings import Settings
 from ..core.solution import QUANTITIES
 
+LIGHT = ("irradiance", "radiosity")  # quantities that only methods have which answer light
+
 # What a target needs a method to answer.
 RECEIVERS = {"texture": "texels", "attribute": "vertices", "render": "camera"}
 DOMAINS = ("POINT", "CORNER")
@@ -71,6 +73,10 @@ class BakeRequest:
             needed = RECEIVERS.get(self.target)
             if needed and needed not in solver.spec.receivers:
                 out.append(_error(solver.spec.label, f"cannot be baked to {self.target}", "Choose another method or target"))
+            potential = solver.spec.answers == "potential"
+            if self.target != "render" and self.quantity in (LIGHT if potential else ("potential",)):
+                remedy = f"Choose {'potential' if potential else 'irradiance'} or another quantity of the method"
+                out.append(_error(solver.spec.label, f"does not answer {self.quantity}", remedy))
         except SettingsError as error:
             out.append(error.notice)
         choices = {"target": tuple(RECEIVERS), "quantity": QUANTITIES, "domain": DOMAINS}
@@ -90,6 +96,11 @@ class BakeRequest:
     def require(self) -> None:
         """Raise `AdjointError` for the first of `problems()`."""
         raise_first(self.problems())
+
+
+def fitting_quantity(solver: Solver, quantity: str) -> str:
+    """`quantity`, or potential where a method that answers only that is asked for light."""
+    return "potential" if solver.spec.answers == "potential" and quantity in LIGHT else quantity
 
 
 def raise_first(notices: list[Notice]) -> None:

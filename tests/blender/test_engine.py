@@ -13,7 +13,7 @@ from adjgi.tests.blender.fakes import camera, fake_method, square
 
 WIDTH, HEIGHT = 40, 30
 solvers.load()
-METHODS = [m.spec.id for m in registry.methods() if "camera" in m.spec.receivers]
+METHODS = [m.spec.id for m in registry.methods() if "camera" in m.spec.receivers and m.spec.answers == "light"]
 QUICK = {"samples": 4, "particles": 20_000, "max_edge": 0.25, "rays": 1024, "tolerance": 0.01}
 
 
