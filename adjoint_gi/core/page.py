@@ -19,14 +19,14 @@ GENERATOR = "Adjoint GI comparison"  # in the head of every page, and how we kno
 FORMAT = 1
 STYLE = """
 :root { color-scheme: light; }
-body { font: 15px/1.5 system-ui, sans-serif; color: #1b1b1b; background: #fff; max-width: 1120px; margin: 2rem auto; padding: 0 1rem; }
+body { font: 15px/1.5 system-ui, sans-serif; color: #1b1b1b; background: #fff; max-width: 1180px; margin: 2rem auto; padding: 0 1rem; }
 h1 { font-size: 1.6rem; margin: 0 0 .3rem; } h2 { font-size: 1.15rem; margin: 2.2rem 0 .6rem; }
 p { margin: .4rem 0; } .quiet { color: #5b5b5b; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-size: 14px; font-variant-numeric: tabular-nums; }
-th, td { padding: .3rem .7rem; border-bottom: 1px solid #ddd; text-align: right; white-space: nowrap; }
+th, td { padding: .3rem .55rem; border-bottom: 1px solid #ddd; text-align: right; white-space: nowrap; }
 th { font-weight: 600; border-bottom: 2px solid #999; } th:first-child, td:first-child { text-align: left; }
-td.words { white-space: normal; text-align: left; }
+td.words { white-space: normal; text-align: left; min-width: 8rem; }
 tr.best td { background: #e9f5ec; font-weight: 600; }
 .loud { background: #fbe6e6; border-left: 5px solid #b00914; padding: .5rem .8rem; font-weight: 600; }
 .good { background: #e9f5ec; border-left: 5px solid #2f7d46; padding: .5rem .8rem; }
@@ -86,6 +86,8 @@ def page(
         parts.append('<p class="loud">The comparison was stopped before its end.</p>')
     if facts:
         parts.append('<p class="quiet">' + " &middot; ".join(f"{escape(k)}: {escape(v)}" for k, v in facts) + "</p>")
+    loud = [line for line in result.agreement.lines if line.startswith("DISAGREE")] if result.agreement is not None else []
+    parts += [f'<p class="loud">{escape(line)}</p>' for line in loud]
     parts += ["<h2>Results</h2>", _results(result)]
     if result.refused:
         parts += ["<h2>Not compared</h2>", _list(str(n) for n in result.refused)]
@@ -94,10 +96,10 @@ def page(
         said += [f"Reference: {n}" for n in result.reference.notices]
     if said:
         parts += ["<h2>To be known</h2>", _list(dict.fromkeys(said))]
-    for name, picture in pictures.items():
-        parts += [f"<h2>{escape(name.capitalize())}</h2>", _figure(name, picture)]
     if result.agreement is not None:
         parts += ["<h2>Agreement</h2>", _agreement(result.agreement)]
+    for name, picture in pictures.items():
+        parts += [f"<h2>{escape(name.capitalize())}</h2>", _figure(name, picture)]
     parts += ["<h2>Settings</h2>", _settings(result), "</body></html>"]
     return "\n".join(parts) + "\n"
 
@@ -130,7 +132,7 @@ def _results(result: Result) -> str:
             "-" if result.shot is None else f"{result.shot[0]:.4g} &plusmn; {result.shot[1]:.1g}",
             "-" if gap is None else f"{100 * gap:+.2f} %",
             "-" if balance is None else percent(balance.gap),
-            STATES[e.state] + ("" if e.complete else ", partial"),
+            '<td class="words">' + STATES[e.state] + ("" if e.complete else ", partial") + "</td>",
         ]
         rows.append((cells, e is result.winner))
     return _table(head, rows)
@@ -147,11 +149,11 @@ def _agreement(found: Agreement) -> str:
         cells = [escape(name), f"{shot.value[i]:.4g} &plusmn; {shot.error[i]:.1g}" if shot is not None else ""]
         for k, m in enumerate(methods):
             noise = f" &plusmn; {m.error[i]:.1g}" if m.freedom else ""
-            gap = f"<br><span class=quiet>{100 * found.gaps[k, i]:+.2g} %</span>" if found.gaps is not None else ""
+            gap = f"<br><span class=quiet>{100 * found.gaps[k, i]:+.3g} %</span>" if found.gaps is not None else ""
             cells.append(f"{m.value[i]:.4g}{noise}{gap}")
         rows.append((cells, False))
     pairs = [
-        ([escape(d.first), escape(d.second), escape(d.object), f"{100 * d.relative:+.3g} %", f"{d.t:.2g}", f"{d.p:.2g}"], False)
+        ([escape(d.first), escape(d.second), escape(d.object), f"{100 * d.relative:+.3g} %", f"{d.t:.3g}", f"{d.p:.2g}"], False)
         for d in found.differences
     ]
     pair_head = ["First", "Second", "Object", "Difference", "t beyond the allowances", "p after Sidak"]
