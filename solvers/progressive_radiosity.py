@@ -20,13 +20,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..adjoint_gi.core.adaptive import GROWTH, Subdivision, shoot_emitters
 from ..adjoint_gi.core.answer import ElementAnswer, elements_for
+from ..adjoint_gi.core.element_mesh import element_mesh
 from ..adjoint_gi.core.element_rays import ElementRays
 from ..adjoint_gi.core.elements import Elements
 from ..adjoint_gi.core.emitters import Emitters
 from ..adjoint_gi.core.errors import Notice
 from ..adjoint_gi.core.radiosity import LampLight, RadiositySettings, dark_notices, receiver_light
 from ..adjoint_gi.core.receivers import Receivers
+from ..adjoint_gi.core.refinement import RefinedElements, smoothed
 from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
 from ..adjoint_gi.core.schemes import NO_LIMIT, Southwell
 from ..adjoint_gi.core.settings import setting
@@ -62,6 +65,26 @@ class ProgressiveSettings(RadiositySettings):
         label="Ambient Estimate",
         help="Partial results show the unshot light spread evenly, as an estimate; the finished result never has it",
     )
+    adaptive: bool = setting(
+        False,
+        label="Adaptive Subdivision",
+        help="Cut elements into four where direct light changes too much over them, such as at shadow boundaries",
+    )
+    contrast: float = setting(
+        0.25,
+        label="Contrast",
+        help="Change of direct light over an element, as a share of its brightest corner, over which it is cut",
+        min=0.001,
+        max=1.0,
+    )
+    min_edge: float = setting(
+        0.0,
+        label="Min Element Edge",
+        help="No element is cut to edges shorter than this; 0 takes an eighth of the longest",
+        min=0.0,
+        max=1e6,
+        unit="distance",
+    )
     overshoot: bool = setting(
         False,
         label="Overshooting",
@@ -90,6 +113,7 @@ class ProgressiveRadiosity(Solver):
             "Indirect shadows are as sharp as the elements are small",
             "Sides shoot in groups, brightest first, instead of one by one",
             "Form factors are shares of rays: elements that few rays meet are uneven",
+            "Subdivision follows direct light; pieces of an element share its indirect light, smoothly",
         ),
         lobes=frozenset({"diffuse", "emission"}),
         uses_elements=True,
@@ -99,76 +123,135 @@ class ProgressiveRadiosity(Solver):
     def memory(self, world: World, receivers: Receivers, settings: ProgressiveSettings) -> int:
         """Elements, unshot light by path length, rays under way and receivers; it grows linearly with the elements."""
         own = getattr(receivers, "elements", None)
-        count = own.count if own is not None else Elements.planned(world, settings.max_edge, TARGET)
+        count = own.count if own is not None else Elements.planned(world, settings.max_edge, target(settings))
+        count *= GROWTH if settings.adaptive else 1
         classes = max(1, settings.max_length) if settings.max_length < NO_LIMIT else max(2, settings.min_length)
         return count * (700 + 2 * 3 * 8 * (6 * classes + 8)) + 600 * LARGEST_BATCH + 100 * receivers.count
 
     def solve(self, world: World, receivers: Receivers, settings: ProgressiveSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every group of shots; the fraction is the flux delivered."""
-        started = time.monotonic()
-        elements = elements_for(world, receivers, settings.max_edge, TARGET)
-        emitters = Emitters(world)
-        gather = receiver_light(world, emitters, settings)
-        answer = ElementAnswer(elements, receivers, gather, settings.min_length, settings.max_length)
-        lamps = LampLight(elements, emitters, settings.light_samples)
-        transport = FreshRayTransport(ElementRays(elements))
-        emitted = np.repeat(elements.emitted, 2, axis=0)
-        warnings = world.scene.warnings + world.shading.substitutions(self.spec.lobes)
-        history: list[tuple[float, float]] = []
+        run = _Run(self, world, receivers, settings)
+        yield from run.steps()
 
-        def shooter() -> Southwell:
-            return Southwell(transport, emitted, lamps.irradiance, settings.min_length, settings.max_length, settings.overshoot)
 
-        def step(state: Southwell, fraction: float, text: str, partial: bool = True) -> Step:
-            return Step(fraction, text, lambda: solution(state, partial))
+class _Run:
+    """The state of one solve."""
 
-        def solution(state: Southwell, partial: bool) -> Solution:
-            indirect = state.indirect
-            if partial and settings.ambient and settings.max_length >= 2:
-                indirect = indirect + state.reached[:, None] * state.ambient()
-            parts = answer.parts(state.direct, indirect)
-            return Solution(
-                self.spec.id,
-                receivers.measure,
-                **parts.arrays(),
-                rays=transport.count + lamps.rays + parts.rays,
-                seconds=time.monotonic() - started,
-                balance=balance(state),
-                history=tuple(history),
-                warnings=warnings,
-                settings=settings.as_dict(),
-                partial=partial,
-            )
+    def __init__(self, solver: Solver, world: World, receivers: Receivers, settings: ProgressiveSettings) -> None:
+        self.solver, self.receivers, self.settings = solver, receivers, settings
+        self.started = time.monotonic()
+        self.base = self.elements = elements_for(world, receivers, settings.max_edge, target(settings))
+        self.emitters = Emitters(world)
+        gather = receiver_light(world, self.emitters, settings)
+        self.answer = ElementAnswer(self.elements, receivers, gather, settings.min_length, settings.max_length)
+        self.lamps = LampLight(self.elements, self.emitters, settings.light_samples)
+        self.transport = FreshRayTransport(ElementRays(self.elements))
+        self.warnings = world.scene.warnings + world.shading.substitutions(solver.spec.lobes)
+        self.history: list[tuple[float, float]] = []
+        self.rays = 0  # of transports that are no longer used, and of subdivision
+        self.state = self._southwell()
 
+    def _southwell(self) -> Southwell:
+        s = self.settings
+        emitted = np.repeat(self.base.emitted, 2, axis=0)
+        return Southwell(self.transport, emitted, self.lamps.irradiance, s.min_length, s.max_length, s.overshoot)
+
+    def steps(self) -> Iterator[Step]:
+        s = self.settings
         # 1. Where the receivers lie on the elements, and direct light at them.
-        state = shooter()
-        for share in answer.prepare():
-            yield step(state, 0.0, f"Receivers and direct light, {share:.0%}")
+        for share in self.answer.prepare():
+            yield self._step(0.0, f"Receivers and direct light, {share:.0%}")
         # 2. Lamps and background are shot first.
-        for share in lamps.run():
-            yield step(state, 0.0, f"Light of lamps and background, {share:.0%}")
-        state = shooter()
-        warnings += dark_notices(elements, lamps.irradiance)
-        if settings.overshoot and not state.overshoot:
-            warnings += (Notice(self.spec.label, "overshooting is off, as path lengths are bounded", "Set the lengths to 0 and 1024"),)
-
-        # 3. Groups of sides, most unshot flux first.
-        flux = state.unshot_flux()
-        left = float(flux.sum())
-        while left > settings.tolerance * state.total and state.shots < settings.max_shots:
-            index, rays = group(state, settings)
+        for share in self.lamps.run():
+            yield self._step(0.0, f"Light of lamps and background, {share:.0%}")
+        self.state = self._southwell()
+        self.warnings += dark_notices(self.elements, self.lamps.irradiance)
+        if s.overshoot and not self.state.overshoot:
+            self._warn("overshooting is off, as path lengths are bounded", "Set the lengths to 0 and 1024")
+        # 3. Shadow boundaries.
+        if s.adaptive and s.max_length >= 1:
+            yield from self._subdivide()
+        # 4. Groups of sides, most unshot flux first.
+        left = float(self.state.unshot_flux().sum())
+        while left > s.tolerance * self.state.total and self.state.shots < s.max_shots:
+            index, rays = group(self.state, s)
             if not len(index):
                 break
-            state.shoot(index, rays)
-            left = float(state.unshot_flux().sum())
-            share = left / state.total
-            history.append((time.monotonic() - started, share))
-            done = (1 - share) / (1 - settings.tolerance) if settings.tolerance < 1 else 1.0
-            yield step(state, float(np.clip(done, 0, 0.999)), f"{state.shots:,} shots, {share:.2%} of the light unshot")
-        if left > settings.tolerance * state.total:
-            reason = f"stopped after {state.shots:,} shots with {left / state.total:.2%} of the light unshot"
-            warnings += (Notice(self.spec.label, reason, "Raise max_shots or the tolerance, or lower albedos that are close to 1"),)
-        yield step(state, 1.0, f"{state.shots:,} shots", partial=False)
+            self.state.shoot(index, rays)
+            left = float(self.state.unshot_flux().sum())
+            share = left / self.state.total
+            self.history.append((time.monotonic() - self.started, share))
+            done = (1 - share) / (1 - s.tolerance) if s.tolerance < 1 else 1.0
+            yield self._step(float(np.clip(done, 0, 0.999)), f"{self.state.shots:,} shots, {share:.2%} of the light unshot")
+        if left > s.tolerance * self.state.total:
+            reason = f"stopped after {self.state.shots:,} shots with {left / self.state.total:.2%} of the light unshot"
+            self._warn(reason, "Raise max_shots or the tolerance, or lower albedos that are close to 1")
+        yield self._step(1.0, f"{self.state.shots:,} shots", partial=False)
+
+    def _subdivide(self) -> Iterator[Step]:
+        """Shoot the emitters, then cut elements round by round and go on with the finer ones; no flux is gained or lost."""
+        s, start = self.settings, self.state
+        flux = start.unshot_flux()
+        rays = np.clip(np.ceil(s.rays * flux / max(start.total, 1e-300)), FEWEST, MOST).astype(np.int64)
+        for _ in shoot_emitters(start, rays, BATCH):
+            yield self._step(0.0, "Light of emitting surfaces")
+        limit = s.min_edge or self.base.max_edge / 8
+        division = Subdivision(self.base, self.emitters, s.light_samples, s.contrast, limit)
+        for text in division.run(start.first):
+            if division.elements is not self.elements:
+                self.elements = division.elements
+                self.rays += self.transport.count
+                self.transport = FreshRayTransport(ElementRays(self.elements))
+                self.state = start.refined(self.transport, division.root, division.factor)
+                self.answer.refine(self.elements)
+            yield self._step(0.0, text)
+        self.rays += division.rays
+        if division.full:
+            reason = f"subdivision stopped at {self.elements.count:,} elements, {GROWTH} times as many as before"
+            self._warn(reason, "Raise min_edge or contrast, or lower max_edge")
+
+    def _warn(self, reason: str, remedy: str) -> None:
+        self.warnings += (Notice(self.solver.spec.label, reason, remedy),)
+
+    def _step(self, fraction: float, text: str, partial: bool = True) -> Step:
+        state, elements = self.state, self.elements
+        return Step(fraction, text, lambda: self._solution(state, elements, partial))
+
+    def _solution(self, state: Southwell, elements: Elements, partial: bool) -> Solution:
+        s = self.settings
+        direct, indirect = state.direct, state.indirect
+        if partial and s.ambient and s.max_length >= 2:
+            indirect = indirect + state.reached[:, None] * state.ambient()
+        extra = {}
+        if isinstance(elements, RefinedElements):
+            if not self.answer.identity:
+                indirect = smoothed(elements, self.base, indirect)
+            if not partial:
+                extra = wire(elements, direct + indirect)
+        parts = self.answer.parts(direct, indirect)
+        return Solution(
+            self.solver.spec.id,
+            self.receivers.measure,
+            **{**parts.arrays(), "extra": {**parts.extra, **extra}},
+            rays=self.rays + self.transport.count + self.lamps.rays + parts.rays,
+            seconds=time.monotonic() - self.started,
+            balance=balance(state),
+            history=tuple(self.history),
+            warnings=self.warnings,
+            settings=s.as_dict(),
+            partial=partial,
+        )
+
+
+def target(settings: ProgressiveSettings) -> int:
+    """Elements wanted where max_edge is chosen; fewer where they will be cut."""
+    return TARGET // 4 if settings.adaptive else TARGET
+
+
+def wire(elements: Elements, irradiance: np.ndarray) -> dict[str, np.ndarray]:
+    """The mesh of the elements for `Solution.extra`, with irradiance at its corners; names as in `ElementMesh`."""
+    mesh = element_mesh(elements, irradiance)
+    return {f"mesh_{name}": getattr(mesh, name) for name in ("vertices", "corners", "start", "triangle", "values")}
 
 
 def group(state: Southwell, settings: ProgressiveSettings) -> tuple[np.ndarray, np.ndarray]:

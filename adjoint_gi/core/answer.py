@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from .elements import Elements
 from .emitters import Emitters
 from .parallel import in_order
 from .receivers import Points, Receivers
+from .refinement import RefinedElements, over_base
 from .world import Surface, World
 
 # Irradiance (n, 3) of surfaces and the number of rays it took, for direct light evaluated at the receivers themselves.
@@ -143,6 +144,13 @@ class ElementAnswer:
         sums[3] = (first, weight[:, 0])
         return sites, sums, rays
 
+    def refine(self, elements: RefinedElements) -> None:
+        """Go over from the elements that `elements` were refined from to these. Receivers that are elements stay what they are."""
+        self.elements = elements
+        for i, s in enumerate(self._sites):
+            element, a, b = elements.descend(s.side >> 1, s.a, s.b)
+            self._sites[i] = replace(s, side=(2 * element + (s.side & 1)).astype(np.int32), a=a, b=b)
+
     def parts(self, direct: np.ndarray, indirect: np.ndarray) -> Parts:
         """The answer for irradiance `direct` and `indirect` (2 ne, 3) of the element sides.
 
@@ -176,7 +184,9 @@ class ElementAnswer:
         return Parts(*(x.astype(np.float32) for x in arrays), (self._weight > 0).astype(np.float32), self.rays, extra)
 
     def _identity(self, direct: np.ndarray, indirect: np.ndarray) -> Parts:
-        e = self.elements
+        e = self.receivers.elements
+        if e is not self.elements:
+            direct, indirect = over_base(self.elements, e, direct), over_base(self.elements, e, indirect)
         emitted = np.repeat(e.emitted if self.emission else 0 * e.emitted, 2, axis=0)
         arrays = (emitted, direct, indirect, np.repeat(e.albedo, 2, axis=0))
         return Parts(*(np.asarray(x, np.float32) for x in arrays), np.ones(2 * e.count, np.float32), self.rays)

@@ -17,7 +17,9 @@ class Nodes:
     """Grid vertices of all patches. Patches share a node where its position and its shading normal agree.
 
     count         number of nodes; each has a value on the front and one on the back
-    of_element    (ne, 4) int32 nodes of every element; a triangle repeats its third
+    of_element    (ne, 4) int32 nodes of every element: local (0, 0), along a, along b, far corner; a triangle repeats its third
+    position      (count, 3) float64, recentred
+    weight        (ne, 4) float64 of an element's value at each of its nodes
     """
 
     def __init__(self, elements: Elements) -> None:
@@ -35,8 +37,13 @@ class Nodes:
         # Order: the corner at local (0, 0), then along a, along b, and the far corner of a quad.
         nodes = np.stack([node(up, up), node(1 - up, up), node(up, 1 - up)], axis=1)
         far = np.where(e.is_quad, node(1, 1), nodes[:, 2])
-        self.of_element = self._shared(*local)[np.column_stack([nodes, far])].astype(np.int32)
+        shared = self._shared(*local)
+        self.of_element = shared[np.column_stack([nodes, far])].astype(np.int32)
         self.count = int(self.of_element.max(initial=-1)) + 1
+        self.position = np.empty((self.count, 3))
+        self.position[shared] = local[0]
+        self.weight = np.repeat(e.area[:, None], 4, axis=1)
+        self.weight[:, 3] *= e.is_quad
 
     def _grid(self) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
         """Position and shading normal (n, 3) of every patch's own nodes, and each patch's first node."""
@@ -84,10 +91,8 @@ class Nodes:
     def values(self, values: np.ndarray) -> np.ndarray:
         """(2 count, c) float32 node values: area-weighted means of the adjacent element sides' `values` (2 ne, c)."""
         e = self.elements
-        nodes = self.of_element
-        weight = np.repeat(e.area[:, None], 4, axis=1)
-        weight[:, 3] *= e.is_quad
-        flat = nodes.ravel()
+        weight = self.weight
+        flat = self.of_element.ravel()
         total = np.maximum(np.bincount(flat, weight.ravel(), self.count), 1e-300)
         out = np.empty((self.count, 2, values.shape[1]), np.float32)
         by_side = values.reshape(e.count, 2, values.shape[1])

@@ -76,11 +76,14 @@ def receiver_light(world: World, emitters: Emitters, settings: RadiositySettings
 class LampLight:
     """Mean irradiance that lamps and background cause on every element side, from fixed points and fixed random numbers.
 
+    With `mesh` that of emitting faces as well. `sides` (m,): only on these.
     irradiance   (2 ne, 3) float64 W m-2, complete when `run` has ended; rays: cast for it
     """
 
-    def __init__(self, elements: Elements, emitters: Emitters, samples: int) -> None:
+    def __init__(self, elements: Elements, emitters: Emitters, samples: int, mesh: bool = False, sides: np.ndarray | None = None) -> None:
         self.elements = elements
+        self.mesh = mesh
+        self.sides = np.arange(2 * elements.count) if sides is None else sides
         self.emitters = emitters
         self.points = POINTS * samples
         self.irradiance = np.zeros((2 * elements.count, 3))
@@ -88,23 +91,27 @@ class LampLight:
 
     def run(self) -> Iterator[float]:
         """Yield the share done."""
-        if not (self.emitters.any_drawn(False) or self.emitters.any_met(False)):
+        if not (self.emitters.any_drawn(self.mesh) or self.emitters.any_met(self.mesh)):
             return
-        total = len(self.irradiance)
+        total = len(self.sides)
         block = max(1, BATCH // self.points)
 
         def work(first: int) -> tuple[np.ndarray, np.ndarray, int]:
-            sides = np.arange(first, min(first + block, total))
+            sides = self.sides[first : first + block]
             owner = np.repeat(sides, self.points)
             a, b, _, _ = shifted_points(np.tile(np.arange(self.points), len(sides)), owner)
             surface = self.elements.surface(owner, a, b)
-            light, rays = direct_irradiance(self.elements.world, self.emitters, surface, 1, np.random.default_rng([3, first]), mesh=False)
+            light, rays = direct_irradiance(
+                self.elements.world, self.emitters, surface, 1, np.random.default_rng([3, first]), mesh=self.mesh
+            )
             return sides, light.reshape(len(sides), self.points, 3).mean(axis=1, dtype=np.float64), rays
 
+        done = 0
         for sides, light, rays in in_order(work, range(0, total, block)):
             self.irradiance[sides] = light
             self.rays += rays
-            yield float(sides[-1] + 1) / total
+            done += len(sides)
+            yield done / total
 
 
 def dark_notices(elements: Elements, irradiance: np.ndarray) -> tuple[Notice, ...]:

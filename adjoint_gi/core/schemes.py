@@ -6,6 +6,7 @@ H is irradiance, E emitted radiosity, H0 irradiance that arrives from outside th
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,6 +121,7 @@ class Southwell:
     """Shooting: the sides with the most unshot flux send it out, and everything they light gets it to send on (Cohen 1988, Eq. 13, 14).
 
     direct, indirect   (n, 3) irradiance so far, of the path lengths asked for
+    first              (n, 3) irradiance so far of one segment, whether asked for or not
     unshot             (k, n, 3) radiosity not yet sent, by the segments its light has behind it; the last class holds all longer
                        paths where their number does not matter
     absorbed, escaped  flux in W by channel; with the flux that is unshot, and that which was `cut` by the path length, they add up
@@ -136,6 +138,7 @@ class Southwell:
         n = len(transport.area)
         self.unshot = np.zeros((classes, n, 3))
         self.direct = np.zeros((n, 3))
+        self.first = np.zeros((n, 3))
         self.indirect = np.zeros((n, 3))
         self.reached = (emitted > 0).any(axis=1) | (arriving > 0).any(axis=1)
         self.absorbed = np.zeros(3)
@@ -159,6 +162,8 @@ class Southwell:
         rho = self.transport.rho
         for k, light in enumerate(irradiance, first):
             length = k + 1
+            if length == 1:
+                self.first += light
             # In the last class the lengths are mixed, but all of them long enough.
             if self.low <= length or (not self.bounded and k == len(self.unshot) - 1):
                 (self.direct if length == 1 else self.indirect)[:] += light
@@ -168,6 +173,21 @@ class Southwell:
             else:
                 self.unshot[min(length, len(self.unshot) - 1)] += rho * light
         self.reached |= irradiance.any(axis=(0, 2))
+
+    def refined(self, transport: Transport, root: np.ndarray, factor: np.ndarray) -> Southwell:
+        """The same state on finer elements, before any light of a second segment has been shot.
+
+        root (n,): the side that each new side is part of; factor (n, 3): its share of light of one segment, relative to that side's.
+        The area-weighted means of `factor` over every old side must be 1: then no flux is gained or lost.
+        """
+        new = copy(self)
+        new.transport = transport
+        new.first, new.direct = self.first[root] * factor, self.direct[root] * factor
+        new.indirect, new.reached = self.indirect[root], self.reached[root]
+        new.unshot = self.unshot[:, root]
+        new.unshot[1:] *= factor
+        new.absorbed, new.escaped, new.cut = self.absorbed.copy(), self.escaped.copy(), self.cut.copy()
+        return new
 
     def arrive_later(self, irradiance: np.ndarray) -> None:
         """Take irradiance (n, 3) from outside that has flown more than one segment. Only for unbounded lengths."""

@@ -9,6 +9,7 @@ from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements, parallelograms
 from adjgi.adjoint_gi.core.errors import MemoryRefused
 from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.refinement import RefinedElements, contrast, over_base, smoothed
 from adjgi.adjoint_gi.core.scene import Camera, Color, Light, Lobe, Material, Source, Term, Texture
 from adjgi.adjoint_gi.core.world import World
 from adjgi.tests import scenes
@@ -22,10 +23,21 @@ CASES = {
 }
 
 
-@pytest.fixture(params=CASES)
+@pytest.fixture(params=[*CASES, "refined quads", "refined triangles"])
 def elements(request):
+    if request.param.startswith("refined"):
+        return refined(scenes.cornell() if "quads" in request.param else scenes.two_zone_sphere(0))
     scene, edge = CASES[request.param]
     return Elements(World(scene()), edge)
+
+
+def refined(scene):
+    """Elements of which some have been cut, and of these some again, at random."""
+    rng = np.random.default_rng(11)
+    elements = Elements(World(scene), 0.7)
+    for _ in range(3):
+        elements = RefinedElements(elements, rng.random(elements.count) < 0.4)
+    return elements
 
 
 def test_a_sample_is_found_again_in_its_element(elements):
@@ -272,3 +284,52 @@ def test_direct_light_at_receivers_replaces_that_of_elements_and_lengths_rule_it
         assert np.allclose(parts.direct, direct)
         assert np.allclose(parts.emitted, emitted)
         assert parts.rays == (10 if direct == 7.0 else 0)
+
+
+@pytest.mark.parametrize("scene", [scenes.cornell, lambda: scenes.two_zone_sphere(0)])
+def test_smooth_values_do_not_crack_where_large_elements_meet_small_ones(scene):
+    elements = refined(scene())
+    node, low, high, share = elements.nodes.hanging
+    assert len(node) > 20
+    values = elements.nodes.values(np.random.default_rng(12).random((2 * elements.count, 1)))
+    # Look at both sides of points along edges, a hair apart.
+    rng = np.random.default_rng(13)
+    index = rng.integers(0, elements.count, 4000)
+    edge = elements.position(index, rng.random(4000), np.zeros(4000))
+    found = []
+    for step in (-1e-4, 1e-4):
+        up = elements.normal[index]
+        origin = (edge + step * (edge - elements.centroid[index]) + 1e-3 * up).astype(np.float32)
+        triangle, u, v, t = elements.world.intersect(origin, np.ascontiguousarray(-up, np.float32))
+        on = (triangle >= 0) & (t < 2e-3) & (elements.patch_of[triangle] == elements.patch[index])
+        element, a, b = elements.cell(np.maximum(triangle, 0), u, v)
+        found.append((elements.nodes.at(values, 2 * element, a, b)[:, 0], on))
+    both = found[0][1] & found[1][1]
+    assert both.sum() > 1000
+    assert np.abs(found[0][0] - found[1][0])[both].max() < 1e-3
+
+
+def test_refined_elements_know_where_they_come_from():
+    base = Elements(World(scenes.cornell()), 0.5)
+    split = np.arange(base.count) % 2 == 0
+    fine = RefinedElements(base, split)
+    assert fine.count == base.count + 3 * split.sum()
+    assert np.array_equal(np.bincount(fine.root, fine.area, base.count), base.area)
+    rng = np.random.default_rng(14)
+    points = fine.sample(rng.integers(0, fine.count, 2000), rng)
+    assert np.array_equal(fine.root[fine.locate(*points)], base.locate(*points))
+    values = rng.random((2 * base.count, 2))
+    repeated = values.reshape(-1, 2, 2)[fine.root].reshape(-1, 2)
+    assert np.allclose(over_base(fine, base, repeated), values)
+    assert np.allclose(smoothed(fine, base, np.ones((2 * fine.count, 1))), 1)
+
+
+def test_contrast_is_high_at_a_step_and_none_where_light_is_even():
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
+    elements = Elements(World(b.build()), 0.125)
+    light = np.zeros((2 * elements.count, 3))
+    light[0::2] = (elements.centroid[:, :1] > 0).astype(float)
+    change = contrast(elements, light)
+    near = np.abs(elements.centroid[:, 0]) < 0.1
+    assert (change[near] > 0.4).all() and (change[~near] < 1e-6).all()

@@ -6,16 +6,22 @@ import time
 
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.core import adaptive
 from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.direct import direct_irradiance
+from adjgi.adjoint_gi.core.element_mesh import element_mesh
 from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
-from adjgi.adjoint_gi.core.receivers import CameraReceivers
+from adjgi.adjoint_gi.core.emitters import Emitters
+from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.refinement import RefinedElements
 from adjgi.adjoint_gi.core.registry import method
 from adjgi.adjoint_gi.core.scene import Light
 from adjgi.adjoint_gi.core.world import World
-from adjgi.solvers import load, progressive_radiosity
+from adjgi.solvers import load
 from adjgi.tests import scenes
 
 load()
+from adjgi.solvers.progressive_radiosity import LARGEST_BATCH  # noqa: E402
 
 
 def on_elements(scene, edge=10.0):
@@ -231,5 +237,116 @@ def test_memory_grows_linearly():
     for edge in (0.02, 0.01):
         world = World(scenes.cube())
         receivers = CameraReceivers(World(scenes.cornell(1, 1)))
-        needed.append(solver.memory(world, receivers, solver.Settings(max_edge=edge)) - 600 * progressive_radiosity.LARGEST_BATCH)
+        needed.append(solver.memory(world, receivers, solver.Settings(max_edge=edge)) - 600 * LARGEST_BATCH)
     assert needed[1] == pytest.approx(4 * needed[0], rel=0.01)
+
+
+def half_shadow(width=64):
+    """A floor lit by a small lamp over a screen, which throws a shadow with soft edges; a camera looks straight down past the screen."""
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Floor", 0.5))
+    b.quad("Screen", (0.3, 0.35, 0.3), (0, 0.3, 0), (0.4, 0, 0), diffuse("Screen", 0.1))
+    b.quad("Lamp", (0.45, 0.45, 1.0), (0, 0.1, 0), (0.1, 0, 0), diffuse("Lamp", 0.0, 50.0))
+    return b.build()
+
+
+def floor_texels(world, count=48):
+    """Points of the floor in a grid, each a receiver."""
+    x = (np.arange(count) + 0.5) / count
+    x, y = (a.ravel() for a in np.meshgrid(x, x))
+    origin = np.stack([x, y, np.full(len(x), 0.01)], axis=1) - world.center
+    triangle, u, v, _ = world.intersect(origin.astype(np.float32), np.tile(np.array([[0, 0, -1]], np.float32), (len(x), 1)))
+    return SurfaceReceivers("texels", np.arange(len(x) + 1), triangle, u, v)
+
+
+def adaptive_errors():
+    """(faces of the mesh, root mean square error of direct light on the floor) for a uniform and an adaptive mesh; the last solution."""
+    world = World(half_shadow())
+    receivers = floor_texels(world)
+    surface = world.surface(receivers.triangle, receivers.u, receivers.v)
+    truth = direct_irradiance(world, Emitters(world), surface, 512, np.random.default_rng(0))[0]
+    solver = method("progressive_radiosity")
+    out = []
+    for options in ({"max_edge": 0.03}, {"max_edge": 0.1, "adaptive": True, "min_edge": 0.0125, "contrast": 0.2}):
+        settings = solver.Settings(direct_light="elements", rays=4_000_000, light_samples=32, **options)
+        *_, last = solver.solve(world, receivers, settings, np.random.default_rng(0))
+        s = last.solution()
+        count = len(s.extra["mesh_start"]) - 1 if options.get("adaptive") else Elements(world, 0.03).count
+        out.append((count, float(np.sqrt(((s.direct - truth) ** 2).mean()) / truth.mean())))
+    return out, s, world
+
+
+def test_subdivision_finds_shadow_boundaries_with_fewer_elements():
+    (uniform, cut), s, world = adaptive_errors()
+    assert cut[0] < uniform[0]
+    assert cut[1] < 0.8 * uniform[1]
+    assert s.balance.gap < 1e-9
+    # Elements at the corners of the floor, where the light changes little, are as coarse as they began; some at the shadow are not.
+    start, corners = s.extra["mesh_start"], s.extra["mesh_corners"]
+    first = s.extra["mesh_vertices"][corners[start[:-1]]]
+    size = np.linalg.norm(s.extra["mesh_vertices"][corners[start[:-1] + 1]] - first, axis=1)
+    on_floor = world.scene.object[s.extra["mesh_triangle"]] == 0
+    far = on_floor & (np.abs(first[:, :2] - 0.5).max(axis=1) > 0.42)
+    assert np.median(size[far]) == pytest.approx(0.1, rel=0.01)
+    assert size[on_floor].min() == pytest.approx(0.0125, rel=0.01)
+
+
+def test_subdivision_keeps_flux_at_every_step_and_its_receivers():
+    receivers = on_elements(scenes.cornell(), 0.2)
+    coarse = solve(receivers, rays=500_000, tolerance=1e-4)
+    texts = set()
+    for step in states(receivers, rays=500_000, tolerance=1e-4, adaptive=True, ambient=False):
+        s = step.solution()
+        assert s.balance.gap < 1e-9
+        assert s.direct.shape == coarse.direct.shape
+        texts.add(step.text.split(",")[0])
+    assert "Shadow boundaries" in texts
+    # Direct light of an element is the same flux, however it lies on its pieces.
+    area = np.repeat(receivers.elements.area, 2)[:, None]
+    x, y = ((area * a.direct.astype(float)).sum(axis=0) for a in (s, coarse))
+    assert np.allclose(x, y, rtol=0.01)
+    assert (area * s.indirect).sum() == pytest.approx((area * coarse.indirect).sum(), rel=0.15)
+
+
+def test_subdivision_leaves_even_light_alone():
+    s = solve(on_elements(scenes.cube(0.5, 1.0), 0.5), rays=2_000_000, adaptive=True)
+    assert "mesh_start" not in s.extra
+
+
+def test_subdivision_with_bounded_lengths():
+    world = World(half_shadow())
+    # Light comes back to the floor by way of the screen: no shorter than three segments.
+    for longest in (0, 1, 3):
+        solver = method("progressive_radiosity")
+        settings = solver.Settings(direct_light="elements", rays=100_000, adaptive=True, max_edge=0.2, max_length=longest, tolerance=0.0)
+        *_, last = solver.solve(world, floor_texels(world, 8), settings, np.random.default_rng(0))
+        s = last.solution()
+        assert s.balance.gap < 1e-9
+        assert s.direct.any() == (longest >= 1)
+        assert s.indirect.any() == (longest >= 3)
+
+
+def test_subdivision_that_meets_its_limit_says_so(monkeypatch):
+    monkeypatch.setattr(adaptive, "GROWTH", 2)
+    world = World(half_shadow())
+    solver = method("progressive_radiosity")
+    settings = solver.Settings(direct_light="elements", rays=100_000, adaptive=True, max_edge=0.1, contrast=0.05)
+    *_, last = solver.solve(world, floor_texels(world, 8), settings, np.random.default_rng(0))
+    s = last.solution()
+    assert any("subdivision stopped" in str(w) for w in s.warnings)
+    assert len(s.extra["mesh_start"]) - 1 <= 2 * Elements(world, 0.1).count
+
+
+def test_the_mesh_of_the_elements():
+    world = World(half_shadow())
+    base = Elements(world, 0.25)
+    fine = RefinedElements(base, np.arange(base.count) % 3 == 0)
+    mesh = element_mesh(fine, np.repeat(fine.centroid + world.center, 2, axis=0))
+    corners = mesh.vertices[mesh.corners].reshape(-1, 4, 3)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross += np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 0])
+    assert np.allclose(np.linalg.norm(cross, axis=1) / 2, fine.area)
+    assert (np.einsum("ij,ij->i", cross, fine.normal) > 0).all()
+    assert np.array_equal(mesh.start, 4 * np.arange(fine.count + 1))
+    # The values are smooth versions of the centroids: near the corners, by less than an element.
+    assert np.abs(mesh.values - mesh.vertices[mesh.corners]).max() < 0.25

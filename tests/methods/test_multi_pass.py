@@ -1,0 +1,162 @@
+"""The progressive multi-pass method: both passes, how one goes over into the other, and what it comes to."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core import bsdf, radiance
+from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.emitters import Emitters
+from adjgi.adjoint_gi.core.receivers import CameraReceivers
+from adjgi.adjoint_gi.core.registry import Nature, Strategy, method
+from adjgi.adjoint_gi.core.scene import Color, Light, Lobe, Material
+from adjgi.adjoint_gi.core.world import World
+from adjgi.solvers import load
+from adjgi.tests import scenes
+
+load()
+
+
+def steps(receivers, **options):
+    """Steps of a solve."""
+    solver = method("multi_pass")
+    world = receivers.elements.world if hasattr(receivers, "elements") else receivers.world
+    return solver.solve(world, receivers, solver.Settings(**options), np.random.default_rng(0))
+
+
+def solve(receivers, **options):
+    """The finished solution."""
+    *_, last = steps(receivers, **options)
+    return last.solution()
+
+
+def cavity():
+    """T8: mirrors that are diffuse as well; everything emits what it does not reflect."""
+    mixed = Material(
+        "Mixed",
+        (Lobe("diffuse", Color.of(0.3, 0.3, 0.3)), Lobe("glossy", Color.of(0.5, 0.5, 0.5), 0.0), Lobe("emission", Color.of(0.2, 0.2, 0.2))),
+    )
+    return scenes.cube(materials=[mixed, mixed, *[diffuse("Wall", 0.6, 0.4)] * 4])
+
+
+def shiny_box(width=16):
+    """A closed room with a mirror, a coated and a plain wall, lit by a lamp that hangs free."""
+    mirror = Material("Mirror", (Lobe("glossy", Color.of(0.9, 0.9, 0.9), 0.0),))
+    coated = Material("Coated", (Lobe("diffuse", Color.of(0.5, 0.3, 0.2)), Lobe("specular", Color.of(1, 1, 1), 0.4, 1.5)))
+    grey = diffuse("Grey", 0.5)
+    b = SceneBuilder()
+    b.box("Room", (0, -2, 0), (1, 1, 1), [mirror, grey, grey, grey, coated, grey], inward=True)
+    b.quad("Lamp", (0.3, 0.1, 0.75), (0, 0.4, 0), (0.4, 0, 0), diffuse("Lamp", 0.0, 5.0))
+    b.camera = dataclasses.replace(scenes.cornell(width, width).camera)
+    return b.build()
+
+
+def test_its_place_in_the_taxonomy():
+    spec = method("multi_pass").spec
+    assert set(spec.strategies) == set(Strategy) and set(spec.natures) == set(Nature)
+
+
+def test_one_furnace():
+    receivers = ElementReceivers(Elements(World(scenes.cube(0.5, 1.0)), 0.5))
+    s = solve(receivers, rays=50_000, samples=256, tolerance=1e-5)
+    assert np.allclose(s.quantity("radiosity")[0::2].mean(axis=0), 2.0, rtol=0.005)
+    for longest, want in enumerate((1, 1.5, 1.75, 1.875)):
+        s = solve(receivers, rays=50_000, samples=256, max_length=longest)
+        assert np.allclose(s.quantity("radiosity")[0::2].mean(axis=0), want, rtol=0.005)
+
+
+@pytest.mark.parametrize("hops", [1, 3])
+def test_eight_kirchhoff_cavity_with_mirrors(hops):
+    receivers = ElementReceivers(Elements(World(cavity()), 0.5))
+    s = solve(receivers, rays=400_000, samples=1024, depth=64, hops=hops, tolerance=1e-5)
+    h = s.quantity("irradiance")[0::2] / np.pi
+    assert h.mean() == pytest.approx(1.0, abs=0.006)
+    assert np.abs(h - 1).max() < 0.08
+
+
+def test_flux_is_conserved_over_mirrors_at_every_step():
+    world = World(shiny_box(4))
+    last = None
+    for step in steps(CameraReceivers(world), max_edge=0.25, rays=100_000, samples=2):
+        s = step.solution()
+        if s.balance is not None and s.balance.emitted:
+            assert s.balance.gap < 1e-9
+            last = s.balance
+    # The room is closed: only the grazing rays at edges and the backs of the walls see the outside.
+    assert last.unshot < 2e-3 * last.emitted
+    assert last.escaped < 1e-3 * last.emitted
+
+
+def test_a_picture_at_once_that_goes_over_into_the_second():
+    world = World(shiny_box())
+    receivers = CameraReceivers(world)
+    fraction, pictures = 0.0, []
+    for step in steps(receivers, rays=100_000, samples=512, max_edge=0.2):
+        assert step.fraction >= fraction
+        fraction = step.fraction
+        pictures.append((fraction, step.solution()))
+    final = pictures[-1][1]
+    assert fraction == 1.0 and not final.partial
+    # Well before the second pass begins every pixel has light.
+    first = next(s for f, s in pictures if f > 0.1)
+    assert first.partial and (first.quantity("radiance").sum(axis=1) > 0).mean() > 0.99
+    error = [(f, np.abs(s.quantity("radiance") - final.quantity("radiance")).mean()) for f, s in pictures]
+    before = [e for f, e in error if 0.2 < f < 0.3]
+    middle = [e for f, e in error if 0.3 < f < 0.6]
+    late = [e for f, e in error if 0.9 < f < 1.0]
+    assert max(late) < min(middle) and max(late) < 0.3 * np.mean(before)
+
+
+def test_it_comes_to_what_path_tracing_finds():
+    world = World(shiny_box(12))
+    receivers = CameraReceivers(world)
+    walk = radiance.Walk(world, Emitters(world), bsdf.BsdfTable(world.scene))
+    rng = np.random.default_rng(3)
+    sums = []
+    for _ in range(24):
+        points = receivers.sample(np.repeat(np.arange(144), 16), rng)
+        surface = world.surface(points.triangle, points.u, points.v, points.towards)
+        found = radiance.gather(walk, surface, radiance.lobes_of(walk, surface, points.towards), rng)
+        sums.append((found.direct + found.indirect).reshape(144, 16, 3).mean(axis=1))
+    truth, spread = np.mean(sums, axis=0), np.std(sums, axis=0) / np.sqrt(24)
+    s = solve(receivers, max_edge=0.06, rays=1_000_000, samples=256, depth=32)
+    got = s.direct + s.indirect
+    assert got.mean() == pytest.approx(truth.mean(), rel=0.015)
+    # Pixel by pixel within both methods' noise, root mean square.
+    assert np.sqrt(((got - truth) ** 2).mean()) < 3 * np.sqrt((spread**2).mean()) + 0.01 * truth.mean()
+
+
+def test_caustics_of_a_lamp_without_size_come_from_particles():
+    mirror = Material("Mirror", (Lobe("glossy", Color.of(1, 1, 1), 0.0),))
+    b = SceneBuilder()
+    b.quad("Mirror", (-20, -20, 0), (40, 0, 0), (0, 40, 0), mirror)
+    b.quad("Ceiling", (-0.1, -0.1, 2), (0, 0.2, 0), (0.2, 0, 0), diffuse("Ceiling", 0.5))
+    b.light(Light("Lamp", "point", (1.0, 1.0, 1.0), position=(0, 0, 1)))
+    receivers = ElementReceivers(Elements(World(b.build()), 50.0))
+    ratio = []
+    for particles in (2_000_000, 0):
+        s = solve(receivers, particles=particles, samples=16, rays=1000)
+        # The ceiling's front; the mirror shows the lamp at three times the distance.
+        ratio.append(s.indirect[2, 0] / s.direct[2, 0])
+    assert ratio[0] == pytest.approx(1 / 9, rel=0.1)
+    assert ratio[1] < 1e-3
+
+
+def test_same_result_for_any_number_of_threads(monkeypatch):
+    world = World(shiny_box(6))
+    results = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("ADJOINT_GI_THREADS", threads)
+        results.append(solve(CameraReceivers(world), max_edge=0.3, rays=20_000, samples=4))
+    assert np.array_equal(results[0].indirect, results[1].indirect)
+    assert np.array_equal(results[0].direct, results[1].direct)
+
+
+def test_dark_and_empty_scenes():
+    s = solve(ElementReceivers(Elements(World(scenes.cube()), 1.0)), samples=2)
+    assert not s.quantity("radiosity").any()
+    assert any("nothing emits light" in str(w) for w in s.warnings)
+    assert solve(ElementReceivers(Elements(World(SceneBuilder().build()), 1.0)), samples=2).direct.shape == (0, 3)

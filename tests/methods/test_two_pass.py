@@ -1,0 +1,216 @@
+"""The two-pass method against exact solutions with mirrors, and both its passes on their own."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.chains import Chains
+from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.emitters import Emitters
+from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.registry import method
+from adjgi.adjoint_gi.core.scene import Camera, Color, Light, Lobe, Material
+from adjgi.adjoint_gi.core.world import World
+from adjgi.solvers import load
+from adjgi.tests import scenes
+
+load()
+from adjgi.solvers.two_pass import FirstPass  # noqa: E402
+
+MIRROR = Material("Mirror", (Lobe("glossy", Color.of(1, 1, 1), 0.0),))
+
+
+def on_elements(scene, edge=10.0):
+    """The elements of the scene as receivers."""
+    return ElementReceivers(Elements(World(scene), edge))
+
+
+def solve(receivers, **options):
+    """The finished solution."""
+    solver = method("two_pass")
+    world = receivers.elements.world if hasattr(receivers, "elements") else receivers.world
+    *_, last = solver.solve(world, receivers, solver.Settings(**options), np.random.default_rng(0))
+    return last.solution()
+
+
+def first_pass(scene, edge=10.0, **options):
+    """The first pass alone, done."""
+    world = World(scene)
+    first = FirstPass(Elements(world, edge), Emitters(world), method("two_pass").Settings(**options), True)
+    for share, _ in first.run():
+        assert 0 <= share <= 1
+    return first
+
+
+def mirror_cube(ceiling=1.0):
+    """T11: face -x is a perfect mirror, the others diffuse of 0.5; the ceiling emits."""
+    mats = [MIRROR, *(diffuse(f"Face{i}", 0.5, ceiling / np.pi if i == 5 else 0.0) for i in range(1, 6))]
+    return scenes.cube(materials=mats)
+
+
+def cavity(k=0.5):
+    """T8: two faces are mirror and diffuse at once; every surface emits what it does not reflect, so the radiance is 1 everywhere."""
+    mixed = Material(
+        "Mixed",
+        (Lobe("diffuse", Color.of(0.3, 0.3, 0.3)), Lobe("glossy", Color.of(k, k, k), 0.0), Lobe("emission", Color.of(*[0.7 - k] * 3))),
+    )
+    return scenes.cube(materials=[mixed, mixed, *[diffuse("Wall", 0.6, 0.4)] * 4])
+
+
+def test_one_furnace_and_every_bounce():
+    receivers = on_elements(scenes.cube(0.5, 1.0), 0.5)
+    for light in ("elements", "receivers"):
+        s = solve(receivers, rays=32, samples=256, direct_light=light)
+        assert np.allclose(s.quantity("radiosity")[0::2].mean(axis=0), 2.0, rtol=1e-4 if light == "elements" else 0.01)
+    for longest, want in enumerate((1, 1.5, 1.75, 1.875, 1.9375)):
+        s = solve(receivers, rays=32, samples=1, max_length=longest, direct_light="elements")
+        assert np.allclose(s.quantity("radiosity")[0::2], want, rtol=1e-5)
+    for shortest, want in ((1, 1.0), (2, 0.5), (3, 0.25)):
+        s = solve(receivers, rays=32, samples=1, min_length=shortest, direct_light="elements")
+        assert not s.emitted.any()
+        assert np.allclose(s.albedo[0::2] * s.quantity("irradiance")[0::2], want, rtol=1e-4)
+
+
+def test_eleven_extended_factor_over_a_mirror():
+    first = first_pass(mirror_cube(), rays=65_536)
+    t = first.transport
+    floor = t.through(t.emitted, t.rows[1])[8, 0], t.through(t.emitted, t.rows[2])[8, 0]
+    assert floor[0] == pytest.approx(0.199825, rel=5e-3)
+    assert floor[1] == pytest.approx(0.086050, rel=5e-3)
+    b = (np.repeat(first.elements.emitted, 2, axis=0) + t.rho * first.total)[0::2, 0]
+    assert b[5] == pytest.approx(1.11142355, rel=1e-3)
+    assert b[4] == pytest.approx(0.23648522, rel=3e-3)
+    assert np.allclose(b[2:4], 0.21845583, rtol=3e-3)
+    assert b[1] == pytest.approx(0.21517958, rel=3e-3)
+
+
+def test_eleven_mirror_is_the_room_beyond():
+    """A cube with a mirror has the irradiance of the room of twice the length, also for texels that are gathered."""
+    b = SceneBuilder()
+    b.box("Room", (-1, 0, 0), (1, 1, 1), [diffuse(f"Face{i}", 0.5, 1 / np.pi if i == 5 else 0.0) for i in range(6)], inward=True)
+    cube, room = World(mirror_cube()), World(b.build())
+    x, y = 0.15, 0.4
+    rng = np.random.default_rng(0)
+    answers = []
+    for world, gather in ((cube, False), (cube, True), (room, False)):
+        origin = np.array([[x, y, 0.01]], np.float32) - world.center.astype(np.float32)
+        triangle, u, v, _ = world.intersect(origin, np.array([[0, 0, -1]], np.float32))
+        texel = SurfaceReceivers("texels", [0, 1], triangle, u, v)
+        solver = method("two_pass")
+        options = solver.Settings(samples=4096, rays=256, max_edge=0.125, gather=gather)
+        *_, last = solver.solve(world, texel, options, rng)
+        s = last.solution()
+        answers.append((s.direct + s.indirect)[0, 0])
+    assert np.allclose(answers, answers[2], rtol=0.02)
+
+
+@pytest.mark.parametrize("gather", [False, True])
+def test_eight_kirchhoff_cavity_with_mirrors(gather):
+    receivers = on_elements(cavity(), 0.5)
+    s = solve(receivers, rays=128, samples=256, depth=64, gather=gather)
+    h = s.quantity("irradiance")[0::2] / np.pi
+    assert h.mean() == pytest.approx(1.0, abs=0.005)
+    assert np.abs(h - 1).max() < 0.08
+
+
+def test_eight_seen_by_a_camera():
+    camera = Camera("perspective", (0.5, 0.3, 0.5), (0, 1, 0), (0, 0, 1), (1, 0, 0), (-1, 1, -1, 1), 12, 12)
+    world = World(dataclasses.replace(cavity(), camera=camera))
+    s = solve(CameraReceivers(world), rays=128, samples=128, depth=64, max_edge=0.25)
+    radiance = s.quantity("radiance")
+    assert radiance.mean() == pytest.approx(1.0, abs=0.005)
+    assert np.abs(radiance - 1).max() < 0.15
+
+
+def rough_cavity():
+    """T8 with a rough glossy lobe of small albedo: its directional albedo is nearly its colour at low roughness."""
+    gloss = Material("Gloss", (Lobe("glossy", Color.of(0.8, 0.8, 0.8), 0.2), Lobe("emission", Color.of(0.2, 0.2, 0.2))))
+    return scenes.cube(materials=[gloss, gloss, *[diffuse("Wall", 0.6, 0.4)] * 4])
+
+
+def test_rough_lobes_take_part_in_the_first_pass_or_not():
+    full, bare = (first_pass(rough_cavity(), 0.5, rays=256, rough=rough, depth=64) for rough in (True, False))
+    walls = np.flatnonzero(full.transport.rho[0::2, 0] > 0) * 2
+    assert full.total[walls].mean() / np.pi == pytest.approx(1.0, abs=0.02)
+    assert bare.total[walls].mean() < 0.9 * full.total[walls].mean()
+
+
+def lamp_over_mirror(kind="point", **options):
+    """A mirror at z = 0 below a lamp at height 1, and a ceiling at z = 2."""
+    b = SceneBuilder()
+    b.quad("Mirror", (-20, -20, 0), (40, 0, 0), (0, 40, 0), MIRROR)
+    b.quad("Ceiling", (-0.1, -0.1, 2), (0, 0.2, 0), (0.2, 0, 0), diffuse("Ceiling", 0.5))
+    b.light(Light("Lamp", kind, (1.0, 2.0, 3.0), position=(0, 0, 1), **options))
+    return b.build()
+
+
+def test_light_of_a_point_lamp_over_a_mirror():
+    """The mirror shows a second lamp at height -1, at three times the distance of the first from the ceiling."""
+    first = first_pass(lamp_over_mirror(), 100.0, particles=2_000_000, rays=16)
+    assert first.caustics.unmet.any()
+    got = first.caustics.total[2]  # front of the ceiling, which faces down
+    assert np.allclose(got, first.caustics.unmet[2])
+    straight = first.lamps.irradiance[2]
+    assert np.allclose(got / straight, 1 / 9, rtol=0.1)
+    assert np.allclose(first.total[2], got + straight, rtol=1e-6)
+    none = first_pass(lamp_over_mirror(), 100.0, particles=0, rays=16)
+    assert not none.caustics.total.any() and np.allclose(none.total[2], straight)
+
+
+def test_a_coat_dims_what_lies_below_it_but_no_light_is_lost():
+    """Under uniform light a coated surface reflects coat and base together, less than 1 and more than the base alone."""
+    coated = Material("Coated", (Lobe("diffuse", Color.of(0.5, 0.5, 0.5)), Lobe("specular", Color.of(1, 1, 1), 0.0, 1.5)))
+    first = first_pass(scenes.cube(materials=[coated, *[diffuse("Wall", 0.0, 1.0)] * 5]), rays=4096)
+    chains = first.chains
+    mean = chains.table.coat_mean[chains.world.scene.material[0]]
+    assert mean == pytest.approx(0.0918, abs=2e-3)  # Fresnel reflectance of diffuse light at index 1.5
+    # A white furnace: all that leaves the coated face, seen from the others, is base and coat times the radiance 1 of the walls.
+    t = first.transport
+    walls = np.arange(2, 12, 2)
+    arrives = t.through(t.rho * first.total, t.rows[1])[walls, 0]
+    want = t.through(np.pi * 0.5 * (np.arange(12) == 0)[:, None] * np.ones(3), t.rows[1], emitted=True)[walls, 0] * (1 - mean)
+    assert arrives.sum() == pytest.approx(want.sum(), rel=0.02)
+
+
+def test_chains_tell_how_far_and_over_what_they_went():
+    world = World(lamp_over_mirror())
+    chains = Chains(world, 4)
+    n = 100
+    origin = np.tile(np.array([[0, 0, 0]], np.float32), (n, 1))
+    wi = np.tile(np.array([[0, 0, -1]], np.float32), (n, 1))
+    met = list(chains.follow(origin, wi, np.random.default_rng(0)))
+    assert [m.segments for m in met] == [1, 2]
+    assert met[0].clear.all() and met[1].clear.all()
+    assert np.allclose(met[1].weight, 1) and (met[1].surface.triangle >= 2).all()
+    assert not met[1].sent.any()
+    # A depth of none ends at the mirror.
+    assert [m.segments for m in Chains(world, 0).follow(origin, wi, np.random.default_rng(0))] == [1]
+
+
+def test_same_first_pass_for_any_number_of_threads(monkeypatch):
+    world = World(dataclasses.replace(cavity(), camera=scenes.cornell(6, 6).camera))
+    results = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("ADJOINT_GI_THREADS", threads)
+        results.append(solve(CameraReceivers(world), max_edge=0.5, rays=32, samples=8))
+    assert np.array_equal(results[0].indirect, results[1].indirect)
+    assert np.array_equal(results[0].direct, results[1].direct)
+    assert results[0].rays == results[1].rays
+
+
+def test_albedo_one_stops_and_says_so_and_a_dark_scene_too():
+    s = solve(on_elements(scenes.cube(1.0, 1.0), 0.5), rays=16, samples=1, max_iterations=20)
+    assert any("stopped after 20 iterations" in str(w) for w in s.warnings)
+    s = solve(on_elements(scenes.cube()), rays=16, samples=1)
+    assert any("nothing emits light" in str(w) for w in s.warnings)
+    assert solve(on_elements(SceneBuilder().build())).direct.shape == (0, 3)
+
+
+def test_no_step_is_long_and_memory_grows_with_rays():
+    solver = method("two_pass")
+    world = World(scenes.cornell(4, 4))
+    few, many = (solver.memory(world, CameraReceivers(world), solver.Settings(rays=rays)) for rays in (64, 128))
+    assert many > few
