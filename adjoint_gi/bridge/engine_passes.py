@@ -29,7 +29,7 @@ def passes(spec: MethodSpec | None) -> Iterator[tuple[str, int, str, str]]:
     yield ("Direct", 3, "RGB", "COLOR")
     yield ("Indirect", 3, "RGB", "COLOR")
     yield ("Albedo", 3, "RGB", "COLOR")
-    if spec is not None and spec.uses_elements:
+    if spec is not None and spec.uses_elements and spec.answers == "light":
         yield ("Elements", 3, "RGB", "COLOR")
 
 
@@ -84,6 +84,6 @@ def pixels(spec: MethodSpec, solution: Solution, geometry: Geometry, plan: Plan)
         "Indirect": solution.indirect,
         "Albedo": solution.albedo,
     }
-    if spec.uses_elements:
+    if spec.uses_elements and spec.answers == "light":
         out["Elements"] = solution.extra.get("elements", np.zeros_like(solution.direct))
     return out

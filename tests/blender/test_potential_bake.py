@@ -33,11 +33,13 @@ def test_selection_of_faces_comes_along():
     mesh = two_quads()
     for chosen in ([False, True], [True, False], [False, False]):
         mesh.polygons.foreach_set("select", chosen)
+        mesh.update()
         bpy.context.view_layer.update()
         arrays = extract(bpy.context.evaluated_depsgraph_get())
         for obj in arrays.objects:
             assert obj.selected.tolist() == np.repeat(chosen, 2).tolist(), obj.name
     mesh.polygons.foreach_set("select", [False, True])
+    mesh.update()
     bpy.context.view_layer.update()
     world = World(extract(bpy.context.evaluated_depsgraph_get()))
     mask = detector(world, "faces", "Mirrored").mask
