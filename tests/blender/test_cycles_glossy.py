@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Glossy, mirror, glass and mixed surfaces against Cycles' path tracing: a ball over a floor, one picture for each material.
+
+- SAME: the models are the same; every pixel and the mean over the ball agree within noise.
+- OTHER: the models differ; the mean over the ball differs by what `docs/cycles-differences.md` says, and not by more.
+
+`python -m pytest tests/blender/test_cycles_glossy.py -s` prints the measured differences. The ball is flat-shaded: Cycles bends smooth
+normals at the outline, which is another matter. Noise is measured: both renderers draw every picture with several seeds.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+
+import bpy
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.bridge import demo
+from adjgi.adjoint_gi.bridge.extract import extract
+from adjgi.adjoint_gi.core.receivers import CameraReceivers
+from adjgi.adjoint_gi.core.registry import method
+from adjgi.adjoint_gi.core.world import World
+from adjgi.solvers import path_tracing  # noqa: F401
+from adjgi.tests import baking
+from adjgi.tests.cycles import add_light, empty_material, shader_material, white_plane
+
+import bmesh  # importable only after bpy  # isort: skip
+
+SIZE = 16
+SEEDS = 4
+SAMPLES = int(os.environ.get("SPP", "64"))
+LENGTH = 33  # segments; what is longer carries nothing that could be seen
+GOLD = (0.9, 0.6, 0.3, 1.0)
+GREY = (0.8, 0.8, 0.8, 1.0)
+WHITE = (1.0, 1.0, 1.0, 1.0)
+GLOSSY, GLASS, REFRACTION, TRANSPARENT, DIFFUSE, PRINCIPLED = (
+    f"ShaderNodeBsdf{x}" for x in ("Anisotropic", "Glass", "Refraction", "Transparent", "Diffuse", "Principled")
+)
+
+
+def shader(kind, distribution="GGX", **values):
+    """A maker of a material of one node; MULTI_GGX is what Blender chooses for new nodes."""
+
+    def make():
+        material = shader_material("ball", kind, **values)
+        node = next(n for n in material.node_tree.nodes if n.bl_idname == kind)
+        if hasattr(node, "distribution"):
+            node.distribution = distribution
+        return material
+
+    return make
+
+
+def mixed():
+    """Half diffuse, half rough reflection."""
+    material = empty_material("ball")
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    mix, diffuse, glossy = (nodes.new(k) for k in ("ShaderNodeMixShader", DIFFUSE, GLOSSY))
+    mix.inputs[0].default_value, glossy.distribution = 0.4, "GGX"
+    diffuse.inputs["Color"].default_value = GOLD
+    glossy.inputs["Color"].default_value, glossy.inputs["Roughness"].default_value = GREY, 0.3
+    links.new(diffuse.outputs[0], mix.inputs[1])
+    links.new(glossy.outputs[0], mix.inputs[2])
+    links.new(mix.outputs[0], nodes["Material Output"].inputs["Surface"])
+    return material
+
+
+SAME = {
+    "diffuse": shader(DIFFUSE, Color=GOLD),
+    "mirror": shader(GLOSSY, Color=GOLD, Roughness=0.0),
+    "glossy 0.2": shader(GLOSSY, Color=GOLD, Roughness=0.2),
+    "glossy 0.5": shader(GLOSSY, Color=GOLD, Roughness=0.5),
+    "glossy 1": shader(GLOSSY, Color=GOLD, Roughness=1.0),
+    "glass": shader(GLASS, Color=GREY, Roughness=0.0, IOR=1.5),
+    "glass 0.3": shader(GLASS, Color=GREY, Roughness=0.3, IOR=1.5),
+    "refraction": shader(REFRACTION, Color=GREY, Roughness=0.0, IOR=1.45),
+    "refraction 0.3": shader(REFRACTION, Color=GREY, Roughness=0.3, IOR=1.45),
+    "transparent": shader(TRANSPARENT, Color=GOLD),
+    "metallic 0.3": shader(PRINCIPLED, Base_Color=GOLD, Metallic=1.0, Roughness=0.3),
+    "mix": mixed,
+}
+OTHER = {
+    "glossy 0.5 multiple": (shader(GLOSSY, "MULTI_GGX", Color=GOLD, Roughness=0.5), 0.0),
+    "glossy 1 multiple": (shader(GLOSSY, "MULTI_GGX", Color=GOLD, Roughness=1.0), 0.0),
+    "glass 0.3 multiple": (shader(GLASS, "MULTI_GGX", Color=GREY, Roughness=0.3, IOR=1.5), 0.0),
+    "glass 0.8 multiple": (shader(GLASS, "MULTI_GGX", Color=GREY, Roughness=0.8, IOR=1.5), 0.0),
+    "refraction 0.3 Beckmann": (shader(REFRACTION, "BECKMANN", Color=GREY, Roughness=0.3, IOR=1.45), 0.0),
+    "metallic 0.5 multiple": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Metallic=1.0, Roughness=0.5), 0.0),
+    "dielectric 0.5": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Roughness=0.5, IOR=1.5), 0.0),
+    "dielectric 0.1": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Roughness=0.1, IOR=1.45), 0.0),
+    "dielectric 0.5 tinted": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Roughness=0.5, Specular_Tint=GOLD), 0.0),
+    "principled glass": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GREY, Transmission_Weight=1.0, Roughness=0.0, IOR=1.5), 0.0),
+    "principled glass, gold": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Transmission_Weight=1.0, Roughness=0.0, IOR=1.5), 0.0),
+    "metallic node": (shader("ShaderNodeBsdfMetallic", "GGX", Roughness=0.2), 0.0),
+}
+
+
+def stage(material):
+    """A ball over a floor, an area lamp beside it, light from all around, and a camera."""
+    floor = white_plane(12.0, shader_material("floor", DIFFUSE, Color=(0.6, 0.4, 0.3, 1.0)))
+    floor.location = (0.0, 3.0, 0.0)
+    mesh = bpy.data.meshes.new("ball")
+    build = bmesh.new()
+    bmesh.ops.create_icosphere(build, subdivisions=3, radius=1.0)
+    build.to_mesh(mesh)
+    build.free()
+    mesh.materials.append(material)
+    ball = bpy.data.objects.new("ball", mesh)
+    ball.location = (0.0, 0.0, 1.1)
+    bpy.context.scene.collection.objects.link(ball)
+    add_light("AREA", (-1.5, -1.5, 4.0), (0.4, -0.35, 0.0), energy=150.0, shape="SQUARE", size=2.5)
+    bpy.context.scene.world = bpy.data.worlds.new("sky")
+    demo.black_world(bpy.context.scene.world, (0.3, 0.4, 0.5))
+    data = bpy.data.cameras.new("camera")
+    data.lens = 60.0
+    camera = bpy.data.objects.new("camera", data)
+    camera.location, camera.rotation_euler = (0.0, -4.5, 1.9), (1.4, 0.0, 0.0)
+    bpy.context.scene.collection.objects.link(camera)
+    bpy.context.scene.camera = camera
+    render = bpy.context.scene.render
+    render.resolution_x, render.resolution_y, render.resolution_percentage = SIZE, SIZE, 100
+    bpy.context.view_layer.update()
+
+
+def cycles_picture(seed):
+    """(SIZE, SIZE, 3) float64 radiance by Cycles, row 0 at the bottom."""
+    scene = bpy.context.scene
+    baking.use_cycles(scene, LENGTH)
+    r, c = scene.render, scene.cycles
+    c.samples, c.seed, c.transparent_max_bounces, c.blur_glossy = SAMPLES, seed, LENGTH, 0.0
+    c.caustics_reflective = c.caustics_refractive = True
+    c.pixel_filter_type, c.filter_width = "BOX", 1.0
+    r.image_settings.file_format, r.image_settings.color_depth, r.image_settings.color_mode = "OPEN_EXR", "32", "RGB"
+    with tempfile.TemporaryDirectory() as folder:
+        r.filepath = os.path.join(folder, "ball.exr")
+        bpy.ops.render.render(write_still=True)
+        image = bpy.data.images.load(r.filepath)
+        flat = np.empty(SIZE * SIZE * 4, np.float32)
+        image.pixels.foreach_get(flat)
+        bpy.data.images.remove(image)
+    return flat.reshape(SIZE, SIZE, 4)[:, :, :3].astype(np.float64)
+
+
+def our_picture(world, seed):
+    """The same by path tracing."""
+    solver = method("path_tracing")
+    settings = solver.Settings(samples=SAMPLES, max_length=LENGTH)
+    *_, last = solver.solve(world, CameraReceivers(world), settings, np.random.default_rng(seed))
+    return last.solution().quantity("radiance").astype(np.float64).reshape(SIZE, SIZE, 3)
+
+
+def on_ball(world):
+    """(SIZE, SIZE) bool: pixels that show nothing but the ball."""
+    ball = next(i for i, o in enumerate(world.scene.objects) if o.source == "ball")
+    out = np.ones(SIZE * SIZE, bool)
+    for points in CameraReceivers(world).sites():
+        other = (points.triangle < 0) | (np.asarray(world.scene.object)[points.triangle] != ball)
+        out[points.receiver[other]] = False
+    return out.reshape(SIZE, SIZE)
+
+
+def measure(make):
+    """Comparisons over all pixels and over those of the ball alone."""
+    stage(make())
+    world = World(extract(bpy.context.evaluated_depsgraph_get()))
+    mask = on_ball(world)
+    assert mask.sum() > 0.2 * SIZE**2
+    ours = [our_picture(world, seed) for seed in range(SEEDS)]
+    theirs = [cycles_picture(100 + seed) for seed in range(SEEDS)]
+    return baking.compare(ours, theirs, np.ones_like(mask)), baking.compare(ours, theirs, mask)
+
+
+def text(name, whole, ball):
+    """The numbers, for the reader and for messages of failures."""
+    rms = float(np.sqrt((whole.z**2).mean()))
+    change = 100 * (ball.ours[ball.used].mean(axis=0) / ball.theirs[ball.used].mean(axis=0) - 1)
+    mean = f"ball {100 * ball.mean:+.2f} +- {100 * ball.mean_error:.2f} % (RGB {change.round(1)})"
+    return f"{name}: {mean}, picture {100 * whole.mean:+.2f} %, z rms {rms:.2f}, worst {whole.worst:.2f} of {whole.limit:.2f}"
+
+
+@pytest.mark.parametrize("name", SAME)
+def test_same_models_agree_within_noise(name):
+    whole, ball = measure(SAME[name])
+    said = text(name, whole, ball)
+    print(said)
+    assert ball.mean_error < 0.01, said
+    assert abs(ball.mean) < max(4 * ball.mean_error, 0.002), said
+    assert whole.worst < whole.limit, said
+    assert np.sqrt((whole.z**2).mean()) < 1.3, said
+
+
+@pytest.mark.parametrize("name", OTHER)
+def test_other_models_differ_by_what_the_docs_say(name):
+    make, documented = OTHER[name]
+    whole, ball = measure(make)
+    said = text(name, whole, ball)
+    print(said)
+    assert ball.mean_error < 0.01, said
+    assert abs(ball.mean - documented) < max(4 * ball.mean_error, 0.005), said
