@@ -30,6 +30,7 @@ DARK = 0.01  # the same, as a share of the mean flux per area: a small leak into
 TEXELS = 0.01  # relative error of the flux of an object from its values at the receivers' points
 ROUNDING = 1e-5  # float32 sums
 BATCH = 1 << 14
+NODES = np.polynomial.legendre.leggauss(64)  # for the tail of Student's t
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,32 +260,32 @@ def two_sided(t: float, freedom: float) -> float:
         return 1.0
     if not math.isfinite(freedom) or freedom > 1e5:
         return math.erfc(t / math.sqrt(2))
-    x, w = np.polynomial.legendre.leggauss(64)
 
     def integral(top: float) -> float:
-        phi = 0.5 * top * (x + 1)
-        return float(0.5 * top * (w * np.sin(phi) ** (freedom - 1)).sum())
+        x, w = NODES
+        return float(0.5 * top * (w * np.sin(0.5 * top * (x + 1)) ** (freedom - 1)).sum())
 
     return min(1.0, integral(math.atan2(math.sqrt(freedom), t)) / integral(0.5 * math.pi))
 
 
 def _lines(differences: Sequence[Difference], methods: dict[str, Measured]) -> tuple[str, ...]:
-    """What the differences mean, the loud lines first."""
-    loud, known = [], []
-    for d in differences:
+    """What the differences mean, the loud lines first. What methods say of themselves is said once for each."""
+    loud, stated = [], {}
+    for d in sorted(differences, key=lambda d: -abs(d.relative)):
         if not d.significant:
             continue
         a, b = methods[d.first], methods[d.second]
-        said = f"{d.first} and {d.second} differ by {100 * abs(d.relative):.3g} % on {d.object}, {_chance(d.p)}"
-        reasons = [f"{m.label} leaves out {m.leaves_out}" for m in (a, b) if m.leaves_out]
-        reasons += [f"{m.label} replaces lobes ({'; '.join(m.notes)})" for m in (a, b) if m.notes]
-        if reasons:
-            known.append(f"Differs as stated: {said}: {'; '.join(reasons)}.")
-        else:
-            loud.append(f"DISAGREE: {said}.")
+        reasons = [(m, f"{m.label} leaves out {m.leaves_out}") for m in (a, b) if m.leaves_out]
+        reasons += [(m, f"{m.label} replaces lobes ({'; '.join(m.notes)})") for m in (a, b) if m.notes]
+        for m, reason in reasons:
+            other = b if m is a else a
+            stated.setdefault(reason, []).append(f"{100 * abs(d.relative):.3g} % from {other.label} on {d.object}")
+        if not reasons:
+            loud.append(f"DISAGREE: {d.first} and {d.second} differ by {100 * abs(d.relative):.3g} % on {d.object}, {_chance(d.p)}.")
     if not loud and differences:
         fine = sum(not d.significant for d in differences)
         loud.append(f"Agree: {fine} of {len(differences)} pairs differ by no more than noise and their stated allowances.")
+    known = [f"Differs as stated: {reason}: {', '.join(parts)}." for reason, parts in stated.items()]
     return tuple(loud + known)
 
 

@@ -33,6 +33,7 @@ FIRST = 0.02  # seconds before which no second snapshot is made
 EFFORT = ("samples", "particles")  # settings that make a random method work longer; the budget ends them
 MARGIN = 2.0  # so many times the samples that a trial run says fit the budget: it must be the budget that ends the run
 PILOT = 2.0  # most seconds spent to find how many samples fit a budget
+EVERYWHERE = 0.99  # share of receivers that must have got an answer
 STATES = {
     "finished": "finished by itself",
     "budget": "ended by the budget",
@@ -153,7 +154,8 @@ class Entry:
     @property
     def complete(self) -> bool:
         """Whether the result is what the method promises: when it has ended, or at any time where samples are all that is added."""
-        return self.endless or not self.solution.partial
+        everywhere = bool(len(self.solution.weight)) and float((self.solution.weight > 0).mean()) > EVERYWHERE
+        return everywhere and (self.endless or not self.solution.partial)
 
 
 def quantity(solution: Solution) -> np.ndarray:
@@ -252,10 +254,14 @@ class Meter:
         self._steps.close()
 
 
-def effort_of(settings: Settings) -> str:
-    """The setting that a budget stands in for, "" where a method ends by itself."""
-    names = {f.name for f in dataclasses.fields(settings)}
-    return next((name for name in EFFORT if name in names), "")
+def effort_of(solver: Solver) -> str:
+    """The setting that a budget stands in for, "" where a method ends by itself.
+
+    Only of methods that add nothing but samples: one that solves something first gives what it promises only when it has ended.
+    """
+    names = {f.name for f in dataclasses.fields(solver.Settings)}
+    only = solver.spec.natures == (Nature.NONDETERMINISTIC,)
+    return next((name for name in EFFORT if only and name in names), "")
 
 
 def is_random(solver: Solver) -> bool:
@@ -269,7 +275,7 @@ def with_effort(solver: Solver, world: World, receivers: Receivers, settings: Se
     Yields None after every step of the trial, which is not counted, and the settings last. A number of samples that is much too high
     would cost evenness (strata) and memory (elements by the number of particles), so the next power of two is taken.
     """
-    name = effort_of(settings)
+    name = effort_of(solver)
     if not name:
         yield settings
         return

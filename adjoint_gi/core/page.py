@@ -100,7 +100,7 @@ def page(
         parts += ["<h2>Agreement</h2>", _agreement(result.agreement)]
     for name, picture in pictures.items():
         parts += [f"<h2>{escape(name.capitalize())}</h2>", _figure(name, picture)]
-    parts += ["<h2>Settings</h2>", _settings(result), "</body></html>"]
+    parts += [f"<h2>Settings</h2><details><summary>Of all methods</summary>{_settings(result)}</details>", "</body></html>"]
     return "\n".join(parts) + "\n"
 
 
@@ -139,8 +139,9 @@ def _results(result: Result) -> str:
 
 
 def _agreement(found: Agreement) -> str:
-    styles = {"DISAGREE": "loud", "Agree": "good", "Differs": "known"}
-    lines = [f'<p class="{styles[next(s for s in styles if line.startswith(s))]}">{escape(line)}</p>' for line in found.lines]
+    styles = {"Agree": "good", "Differs": "known"}
+    said = [line for line in found.lines if not line.startswith("DISAGREE")]  # these stand at the top of the page
+    lines = [f'<p class="{styles[next(s for s in styles if line.startswith(s))]}">{escape(line)}</p>' for line in said]
     methods = found.methods
     shot = found.shot
     head = ["Object", f"Eq. 4, {found.groups.unit}" if shot is not None else "", *(escape(m.label) for m in methods)]
@@ -166,7 +167,8 @@ def _agreement(found: Agreement) -> str:
         about += "Below stands the gap between the two equations."
     parts = [*lines, f"<p class=quiet>{escape(about)}</p>", _table(head, rows)]
     if pairs:
-        parts += ["<p class=quiet>Every pair at the object where it differs most significantly.</p>", _table(pair_head, pairs)]
+        summary = f"All {len(pairs)} pairs, each at the object where it differs most significantly"
+        parts.append(f"<details><summary>{summary}</summary>{_table(pair_head, pairs)}</details>")
     return "\n".join(parts)
 
 

@@ -253,7 +253,7 @@ class _Run:
         found = meter.solution()
         judged = error_of(found, self.reference) if self.reference is not None else None
         notices = [n for n in found.warnings if n not in self.world.scene.warnings]
-        endless = bool(effort_of(settings)) and is_random(solver)
+        endless = bool(effort_of(solver))
         if found.partial and not endless:
             reason = f"did not end within {meter.seconds:.3g} s: its result is partial"
             notices.append(Notice(solver.spec.label, reason, "Give it a larger budget or coarser settings"))

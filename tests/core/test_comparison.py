@@ -1,0 +1,258 @@
+"""Budgets, clocks, errors and winners of comparisons, with a method whose answers are known."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core import comparison, page, registry
+from adjgi.adjoint_gi.core.comparison import Budget, Meter, Plan, Reference, constant_reference, error_of, reason_not_to, winner
+from adjgi.adjoint_gi.core.driver import Driver
+from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.errors import Notice, SceneError, SettingsError
+from adjgi.adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy
+from adjgi.adjoint_gi.core.run_comparison import Comparison
+from adjgi.adjoint_gi.core.settings import Settings, setting
+from adjgi.adjoint_gi.core.solution import Solution, Step
+from adjgi.adjoint_gi.core.world import World
+from adjgi.tests import scenes
+
+STEP = 0.004  # seconds of a step
+RAYS = 1000  # of a step
+
+
+@dataclass(frozen=True)
+class CountSettings(Settings):
+    samples: int = setting(40, label="Samples", help="Steps", min=1, max=10**6)
+    bias: float = setting(0.0, label="Bias", help="Share by which it is wrong", min=-1.0, max=10.0)
+    fails: bool = setting(False, label="Fails", help="Whether it refuses the scene")
+
+
+class Counting(Solver):
+    """Irradiance 1 + bias + noise / sqrt(steps) in every channel; the noise is +1 on even receivers and -1 on odd ones."""
+
+    Settings = CountSettings
+    spec = MethodSpec(
+        id="counting",
+        number=901,
+        label="Counting",
+        strategies=(Strategy.GATHERING,),
+        natures=(Nature.NONDETERMINISTIC,),
+        year=1999,
+        authors="Nobody",
+        title="Nothing",
+        equation="E = 1",
+        section="0",
+        idea="Counts.",
+        limits=("none",),
+        lobes=frozenset({"diffuse", "emission"}),
+    )
+
+    def memory(self, world, receivers, settings):
+        return 10
+
+    def solve(self, world, receivers, settings, rng):
+        if settings.fails:
+            raise SceneError("Scene", "is not liked", "Choose another")
+        n = receivers.count
+        sign = np.where(np.arange(n) % 2 == 0, 1.0, -1.0)[:, None] * rng.choice((-1, 1))
+        zero, one = np.zeros((n, 3), np.float32), np.ones(n, np.float32)
+        for k in range(1, settings.samples + 1):
+            time.sleep(STEP)
+            value = np.tile(1 + settings.bias + sign / math.sqrt(k), (1, 3)).astype(np.float32)
+            last = k == settings.samples
+
+            def solution(value=value, k=k, last=last):
+                return Solution("counting", "irradiance", zero, value, zero, zero + 0.5, one, rays=RAYS * k, partial=not last)
+
+            yield Step(k / settings.samples, f"{k}", solution)
+
+
+class Exact(Counting):
+    """The same, deterministic."""
+
+    spec = replace(Counting.spec, id="exact", number=902, label="Exact", natures=(Nature.DETERMINISTIC,))
+
+
+class Other(Counting):
+    """Answers something else."""
+
+    spec = replace(Counting.spec, id="other", number=903, label="Other", answers="potential")
+
+
+@pytest.fixture
+def methods():
+    for cls in (Counting, Exact, Other):
+        registry.register(cls)
+    yield
+    for cls in (Counting, Exact, Other):
+        del registry._METHODS[cls.spec.id]
+
+
+@pytest.fixture(scope="module")
+def place():
+    world = World(scenes.room())
+    return world, ElementReceivers(Elements(world, max_edge=1.0))
+
+
+def run_meter(place, budget, settings=None, reference=None):
+    world, receivers = place
+    meter = Meter(Counting(), world, receivers, settings or CountSettings(), reference or constant_reference((1.0,), receivers.count))
+    for _ in meter.run(budget):
+        pass
+    return meter
+
+
+def compare(place, plan, reference=None):
+    driver = Driver(Comparison(reference), *place, plan)
+    return driver.run()
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "value"),
+    [("time=30", "time", 30), ("rays=1e7", "rays", 1e7), ("error=0.02", "error", 0.02), (" time = 2 ", "time", 2)],
+)
+def test_budgets_are_read(text, kind, value):
+    assert (Budget.parse(text).kind, Budget.parse(text).value) == (kind, value)
+
+
+@pytest.mark.parametrize("text", ["time", "time=", "time=x", "time=0", "time=-1", "time=nan", "rays=inf", "memory=3", "=3", ""])
+def test_wrong_budgets_are_refused(text):
+    with pytest.raises(SettingsError, match="budget"):
+        Budget.parse(text)
+
+
+def test_the_error_is_the_relative_rmse(place):
+    n = 4
+    zero = np.zeros((n, 3), np.float32)
+    solution = Solution("x", "irradiance", zero, zero + np.float32(3), zero, zero, np.ones(n, np.float32))
+    assert error_of(solution, constant_reference((2.0,), n)) == pytest.approx((0.5, 0.5))
+    # A receiver without an answer is wrong by all of its value.
+    some = replace(solution, weight=np.array([1, 1, 1, 0], np.float32))
+    assert error_of(some, constant_reference((2.0,), n))[0] == pytest.approx(math.sqrt((3 * 1 + 4) / 4) / 2)
+    # One that the reference does not know does not count.
+    partly = Reference("", np.full((n, 3), 2.0), np.array([True, False, False, False]))
+    assert error_of(some, partly)[0] == pytest.approx(0.5)
+    assert error_of(replace(solution, weight=np.zeros(n, np.float32)), constant_reference((2.0,), n)) is None
+    assert error_of(solution, constant_reference((0.0,), n)) is None
+
+
+def test_time_ends_a_run_and_its_clock_leaves_out_what_is_done_between(place):
+    world, receivers = place
+    meter = Meter(Counting(), world, receivers, CountSettings(samples=10**6), constant_reference((1.0,), receivers.count))
+    began = time.perf_counter()
+    for _ in meter.run(Budget("time", 0.1)):
+        time.sleep(0.01)  # someone draws a panel
+    assert meter.state == "budget"
+    assert 0.1 <= meter.seconds < 0.1 + 0.1
+    assert time.perf_counter() - began > 1.5 * meter.seconds
+    assert meter.solution().seconds == meter.seconds and meter.solution().partial
+    # Snapshots lie ever farther apart, and the error falls as the root of the steps.
+    seconds = np.array([p.seconds for p in meter.curve])
+    assert 3 <= len(seconds) < 12 and (np.diff(seconds) > 0).all()
+    steps = np.array([p.rays / RAYS for p in meter.curve])
+    np.testing.assert_allclose([p.error for p in meter.curve], 1 / np.sqrt(steps), rtol=1e-5)
+
+
+def test_rays_end_a_run_at_the_first_step_beyond(place):
+    meter = run_meter(place, Budget("rays", 12_500))
+    assert meter.state == "budget"
+    assert 12_500 <= meter.solution().rays <= 15_000
+
+
+def test_an_error_ends_a_run_when_it_is_reached(place):
+    meter = run_meter(place, Budget("error", 0.3))
+    assert meter.state == "reached" and meter.curve[-1].error <= 0.3 < meter.curve[-2].error
+
+
+def test_an_error_that_is_never_reached_ends_with_the_method_or_the_limit(place):
+    assert run_meter(place, Budget("error", 1e-3), CountSettings(samples=3)).state == "finished"
+    assert run_meter(place, Budget("error", 1e-3, limit=0.05), CountSettings(samples=1000)).state == "limit"
+
+
+def test_the_budget_ends_methods_that_would_end_too_early(methods, place):
+    """A trial run says how many samples fit: without it 2 samples would be done in a moment."""
+    plan = Plan(("counting",), Budget("time", 0.4), settings={"counting": CountSettings(samples=2)}, repeats=0)
+    entry = compare(place, plan, constant_reference((1.0,), place[1].count)).entries[0]
+    assert entry.state == "budget" and entry.settings["samples"] > 40
+    plan = Plan(("exact",), Budget("time", 0.4), settings={"exact": CountSettings(samples=2)}, repeats=0)
+    entry = compare(place, plan, constant_reference((1.0,), place[1].count)).entries[0]
+    assert entry.state == "finished" and entry.settings["samples"] == 2
+
+
+def test_the_winner_has_the_least_error_at_equal_time_and_the_least_time_at_equal_error(methods, place):
+    known = constant_reference((1.0,), place[1].count)
+    settings = {"counting": CountSettings(bias=0.5), "exact": CountSettings(samples=9)}
+    result = compare(place, Plan(("counting", "exact"), Budget("time", 0.2), settings=settings, repeats=0), known)
+    assert result.winner.method == "exact" and "Exact has the least error" in page.best_text(result)
+    result = compare(place, Plan(("counting", "exact"), Budget("error", 0.6, 1.0), settings=settings, repeats=0), known)
+    by = {e.method: e for e in result.entries}
+    assert all(e.state == "reached" for e in result.entries)
+    assert result.winner is min(by.values(), key=lambda e: e.seconds)
+    assert winner([replace(by["exact"], state="limit")], Budget("error", 0.6)) is None
+    assert winner([replace(by["exact"], error=None)], Budget()) is None
+
+
+def test_a_method_that_cannot_take_part_is_listed_and_the_others_go_on(methods, place, monkeypatch):
+    settings = {"counting": CountSettings(fails=True), "exact": CountSettings(samples=2)}
+    plan = Plan(("counting", "other", "exact"), Budget("time", 0.1), settings=settings, repeats=0)
+    result = compare(place, plan, constant_reference((1.0,), place[1].count))
+    assert [e.method for e in result.entries] == ["exact"]
+    assert [(n.object, n.reason) for n in result.refused][0] == ("Scene", "is not liked")
+    assert "answers potential" in result.refused[1].reason
+    monkeypatch.setattr(Counting, "memory", lambda *_: 10**18)
+    assert "needs" in reason_not_to(Counting(), *place, CountSettings()).reason
+    monkeypatch.setattr(Counting, "spec", replace(Counting.spec, receivers=("camera",)))
+    assert "does not answer elements" in reason_not_to(Counting(), *place, CountSettings()).reason
+
+
+def test_a_random_reference_knows_its_noise_and_shares_no_seed(methods, place, monkeypatch):
+    seeds = []
+    solve = Counting.solve
+    monkeypatch.setattr(Counting, "solve", lambda self, w, r, s, rng: seeds.append(s.seed) or solve(self, w, r, s, rng))
+    result = compare(place, Plan(("counting",), Budget("time", 0.08), "counting", 0.2, repeats=3))
+    assert result.reference.noise is not None and "Counting" in result.reference.label
+    trial_reference, *halves, trial, full = seeds[:5]
+    assert len({*halves, full, *seeds[5:]}) == 2 + 1 + 3 and trial_reference == trial == full
+    assert result.entries[0].fluxes.shape == (3, len(result.groups.names))
+
+
+def test_a_stopped_comparison_keeps_what_it_has(methods, place):
+    settings = {m: CountSettings(samples=5000) for m in ("counting", "exact")}
+    plan = Plan(("exact", "counting"), Budget("time", 60.0), settings=settings, repeats=0)
+    driver = Driver(Comparison(constant_reference((1.0,), place[1].count)), *place, plan)
+    driver.start()
+    end = time.monotonic() + 20
+    while "Exact" not in driver.text and time.monotonic() < end:
+        time.sleep(0.01)
+    time.sleep(0.1)
+    began = time.monotonic()
+    assert driver.stop(1.0)
+    assert time.monotonic() - began < 1.0
+    result = driver.solution()
+    assert result.partial and [e.method for e in result.entries] == ["exact"]
+    assert (result.entries[0].state, result.entries[0].complete) == ("partial", False)
+    assert driver.cancel()
+
+
+def test_the_page_escapes_what_users_write(methods, place):
+    plan = Plan(("exact",), Budget("time", 0.1), settings={"exact": CountSettings(samples=2)}, repeats=0)
+    result = compare(place, plan, constant_reference((1.0,), place[1].count))
+    text = page.page("<script>alert(1)</script>", result, {}, [Notice("<b>", "is & bold", "")], [("a<", ">b")])
+    assert "<script>" not in text and "&lt;b&gt;: is &amp; bold" in text and "a&lt;: &gt;b" in text
+
+
+WRONG = [{"methods": ()}, {"methods": ("a", "a")}, {"repeats": 1}, {"repeats": -1}, {"reference_seconds": 0.0}]
+
+
+@pytest.mark.parametrize("wrong", [*WRONG, {"reference_seconds": math.nan}])
+def test_wrong_plans_are_refused(wrong):
+    with pytest.raises(SettingsError):
+        Plan(**({"methods": ("a",)} | wrong))
+
+
+def test_every_state_has_words():
+    assert {"finished", "budget", "reached", "limit", "partial"} == set(comparison.STATES)
