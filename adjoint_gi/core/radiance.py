@@ -27,6 +27,8 @@ class Walk:
     min_length, max_length: path lengths that count. roulette: segments after which walks end at random.
     lights, lobes: use light points; use what BSDF rays meet. With both, each is weighted; with one, it stands alone.
     uniform: draw directions evenly over the sphere instead of by the BSDF (mirrors still by theirs): what importance sampling saves.
+    emission: radiance (m, 3) of triangles at (triangle, u, v) towards directions (m, 3), for emission that is not the same in all
+    directions, as in a Kirchhoff cavity; light points know nothing of it, so `lights` must be off.
     known: outgoing radiance (m, 3) that is already known of some points, as (rows (m,), radiance), asked at every hit; walks that
     get an answer end there with it, which is how second passes read the first.
     """
@@ -40,6 +42,7 @@ class Walk:
     lights: bool = True
     lobes: bool = True
     uniform: bool = False
+    emission: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
     known: Callable[[Surface, bsdf.Lobes, np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None
 
 
@@ -200,7 +203,10 @@ def met(walk: Walk, origin: np.ndarray, wi: np.ndarray, hit: tuple, pdf: np.ndar
     if emitters.any_mesh:
         at = np.flatnonzero(~escaped & sees & (emitters.density[triangle] > 0))
         if len(at):
-            value = walk.world.shading.emission(triangle[at], u[at], v[at])
+            if walk.emission is None:
+                value = walk.world.shading.emission(triangle[at], u[at], v[at])
+            else:
+                value = walk.emission(triangle[at], u[at], v[at], -wi[at])
             if walk.lights:
                 other = emitters.pdf(triangle[at], wi[at], t[at]) * share[at]
                 value = value * np.where(delta[at], np.float32(1), power_heuristic(np.maximum(pdf[at], np.float32(1e-12)), other))[:, None]

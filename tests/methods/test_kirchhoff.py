@@ -1,0 +1,122 @@
+"""T8, the Kirchhoff cavity: closed walls of any reciprocal BRDF with directional albedo a(theta) that emit 1 - a(theta) have radiance 1
+at every point and in every direction. Rough lobes, by the walks that path tracing, distribution ray tracing and second passes share.
+
+Mirrors are in test_path_lobes.py and test_whitted.py, direction bins and harmonics in their methods' own files.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core import bsdf, radiance
+from adjgi.adjoint_gi.core.builder import SceneBuilder
+from adjgi.adjoint_gi.core.emitters import Emitters
+from adjgi.adjoint_gi.core.scene import Color, Lobe, Material
+from adjgi.adjoint_gi.core.world import World
+from adjgi.solvers import load
+from adjgi.solvers.distribution import DistributionSettings, Rows, Tracer
+from adjgi.tests.cie171 import receivers_at
+
+load()
+C = Color.of
+WALLS = {
+    "glossy": (Lobe("glossy", C(0.9), 0.4),),
+    "sharp": (Lobe("glossy", C(0.8), 0.15),),
+    "metal": (Lobe("metallic", C(0.8, 0.5, 0.3), 0.5),),
+    "coated": (Lobe("diffuse", C(0.6)), Lobe("specular", C(1.0), 0.3, 1.5)),
+    "mixed": (Lobe("diffuse", C(0.3)), Lobe("glossy", C(0.5), 0.3)),
+}
+
+
+def cavity(lobes):
+    """A cube of one material and its directional emission, (n, 3) radiance towards directions (n, 3)."""
+    b = SceneBuilder()
+    b.box("Cavity", (0, 0, 0), (1, 1, 1), Material("Wall", (*lobes, Lobe("emission", C(1.0)))), inward=True)
+    world = World(b.build())
+    table = bsdf.BsdfTable(world.scene)
+    albedo = albedo_table(table)
+
+    def emission(triangle, u, v, towards):
+        cosine = np.einsum("ij,ij->i", world.rows[triangle, 9:12], towards)
+        at = np.clip(cosine * len(albedo) - 0.5, 0, len(albedo) - 1)
+        low = np.minimum(at.astype(int), len(albedo) - 2)
+        share = (at - low)[:, None]
+        return (1 - albedo[low] * (1 - share) - albedo[low + 1] * share).astype(np.float32)
+
+    return world, table, emission
+
+
+def albedo_table(table, entries=64):
+    """(entries, 3) directional albedo over the cosine, by quadrature over a hemisphere: no random numbers, no sampling of the lobe."""
+    t = (np.arange(100) + 0.5) / 100
+    z, weight = 1 - t**4, 4 * t**3 / 100  # dense near the pole, where narrow lobes are
+    phi = 2 * np.pi * (np.arange(120) + 0.5) / 120
+    zz, pp = (a.ravel() for a in np.meshgrid(z, phi, indexing="ij"))
+    r = np.sqrt(1 - zz**2)
+    fixed = np.stack([r * np.cos(pp), r * np.sin(pp), zz], 1)
+    out = np.empty((entries, 3))
+    for i, mu in enumerate((np.arange(entries) + 0.5) / entries):
+        wo = np.array([np.sqrt(1 - mu * mu), 0, mu])
+        # Directions about the mirror direction, where the lobe is: the hemisphere's grid turned there; what falls below is left out.
+        mirror = wo * (-1, -1, 1)
+        x, y = bsdf.frame(mirror[None].astype(np.float32))
+        wi = fixed[:, :1] * x + fixed[:, 1:2] * y + fixed[:, 2:] * mirror
+        below = -fixed[:, :1] * x - fixed[:, 1:2] * y - fixed[:, 2:] * mirror
+        total = np.zeros(3)
+        for directions in (wi, below):
+            n = len(directions)
+            up = np.tile(np.float32([0, 0, 1]), (n, 1))
+            zero = np.zeros(n, np.float32)
+            at = table.at(np.zeros(n, np.int32), zero, zero, up, np.ones(n, np.float32), np.tile(wo, (n, 1)).astype(np.float32))
+            value = bsdf.evaluate(at, directions.astype(np.float32))[0].astype(float)
+            total += (value * np.repeat(weight, 120)[:, None]).sum(axis=0) / 120 * 2 * np.pi
+        out[i] = total
+    return out
+
+
+def start(world, count, rng):
+    """Points on the walls with directions all over the hemisphere."""
+    points = receivers_at(world, np.array([(0.3, 0.4, 0.0), (0.0, 0.7, 0.2), (0.9, 0.5, 1.0), (0.02, 0.03, 0.0)]))
+    pick = rng.integers(0, points.count, count)
+    surface = world.surface(points.triangle[pick], points.u[pick], points.v[pick])
+    z, phi = rng.random(count) * 0.95 + 0.05, 2 * np.pi * rng.random(count)
+    r = np.sqrt(1 - z * z)
+    x, y = bsdf.frame(surface.ng)
+    wo = (r * np.cos(phi))[:, None] * x + (r * np.sin(phi))[:, None] * y + z[:, None] * surface.ng
+    return surface, wo.astype(np.float32)
+
+
+def check(total):
+    mean, error = total.mean(axis=0), total.std(axis=0, ddof=1) / np.sqrt(len(total))
+    # The quadrature of the albedo is good to a thousandth; the walk must know radiance 1 to better than half a percent.
+    assert (error < 0.004).all(), f"too noisy to tell: {error}"
+    assert (np.abs(mean - 1) < 4 * error + 0.002).all(), f"radiance {mean} +- {error}, not 1"
+
+
+@pytest.mark.parametrize("name", WALLS)
+def test_walks_find_radiance_one(name):
+    world, table, emission = cavity(WALLS[name])
+    walk = radiance.Walk(world, Emitters(world), table, 0, 200, roulette=8, lights=False, emission=emission)
+    rng = np.random.default_rng(1)
+    surface, wo = start(world, 40_000, rng)
+    found = radiance.gather(walk, surface, radiance.lobes_of(walk, surface, wo), rng)
+    own = emission(surface.triangle, surface.u, surface.v, wo)
+    check((own + found.direct + found.indirect).astype(float))
+
+
+def test_distributed_rays_find_radiance_one():
+    world, table, emission = cavity(WALLS["mixed"])
+    rng = np.random.default_rng(2)
+    surface, wo = start(world, 8000, rng)
+    receivers = receivers_at(world, np.array([(0.3, 0.4, 0.0)]))
+    settings = DistributionSettings(brdf_samples=4, split_depth=2, sampling="independent", max_length=200)
+    tracer = Tracer(world, Emitters(world), receivers, settings, 1)
+    tracer.walk = dataclasses.replace(tracer.walk, lights=False, emission=emission)
+    rows = Rows(np.zeros(len(wo), np.int64), np.arange(len(wo)), len(wo))
+    # The split stages draw light points whatever the walk says; they must find nothing here.
+    object.__setattr__(tracer.walk.emitters, "any_drawn", lambda mesh=True: False)
+    found = tracer.trace(surface, radiance.lobes_of(tracer.walk, surface, wo), rows, 1, rng)
+    own = emission(surface.triangle, surface.u, surface.v, wo)
+    check((own + found.direct + found.indirect).astype(float))
