@@ -46,6 +46,7 @@ from .progressive_radiosity import LARGEST_BATCH, balance, group
 
 TARGET = 4000  # elements where max_edge is chosen
 FIRST = 0.3  # share of the progress that radiosity takes
+SHOTS = 1 << 14  # rays of the sides that shoot together, at least; each may become a chain of many
 PRIOR = 4.0  # samples that the first answer is worth at the start of the second pass
 
 
@@ -181,7 +182,7 @@ class _Blend:
         state.arrive_later(self.caustics.total)
         left = float(state.unshot_flux().sum())
         while left > s.tolerance * state.total and state.shots < s.max_shots:
-            index, rays = group(state, s)
+            index, rays = group(state, s, SHOTS)
             if not len(index):
                 break
             state.shoot(index, rays)

@@ -254,12 +254,15 @@ def wire(elements: Elements, irradiance: np.ndarray) -> dict[str, np.ndarray]:
     return {f"mesh_{name}": getattr(mesh, name) for name in ("vertices", "corners", "start", "triangle", "values")}
 
 
-def group(state: Southwell, settings: ProgressiveSettings) -> tuple[np.ndarray, np.ndarray]:
-    """The sides that shoot next and the rays of each: in the order of their unshot flux, as many as fit into one batch of rays."""
+def group(state: Southwell, settings: ProgressiveSettings, least: int = BATCH) -> tuple[np.ndarray, np.ndarray]:
+    """The sides that shoot next and the rays of each: in the order of their unshot flux, as many as fit into one batch of rays.
+
+    A batch holds `least` rays, or more where there are more sides.
+    """
     many = min(AT_ONCE, settings.max_shots - state.shots)
     index, flux = state.largest(many)
     rays = np.clip(np.ceil(settings.rays * flux / max(state.total, 1e-300)), FEWEST, MOST).astype(np.int64)
-    batch = int(np.clip(len(state.direct) // 2, BATCH, LARGEST_BATCH))
+    batch = int(np.clip(len(state.direct) // 2, least, LARGEST_BATCH))
     fits = max(1, int(np.searchsorted(np.cumsum(rays), batch, side="right")))
     return index[:fits], rays[:fits]
 

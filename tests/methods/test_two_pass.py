@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.core import bsdf, radiance
 from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.chains import Chains
 from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
@@ -120,9 +121,9 @@ def test_eight_seen_by_a_camera():
     camera = Camera("perspective", (0.5, 0.3, 0.5), (0, 1, 0), (0, 0, 1), (1, 0, 0), (-1, 1, -1, 1), 12, 12)
     world = World(dataclasses.replace(cavity(), camera=camera))
     s = solve(CameraReceivers(world), rays=128, samples=128, depth=64, max_edge=0.25)
-    radiance = s.quantity("radiance")
-    assert radiance.mean() == pytest.approx(1.0, abs=0.005)
-    assert np.abs(radiance - 1).max() < 0.15
+    seen = s.quantity("radiance")
+    assert seen.mean() == pytest.approx(1.0, abs=0.005)
+    assert np.abs(seen - 1).max() < 0.15
 
 
 def rough_cavity():
@@ -158,6 +159,31 @@ def test_light_of_a_point_lamp_over_a_mirror():
     assert np.allclose(first.total[2], got + straight, rtol=1e-6)
     none = first_pass(lamp_over_mirror(), 100.0, particles=0, rays=16)
     assert not none.caustics.total.any() and np.allclose(none.total[2], straight)
+
+
+def test_light_of_a_lamp_with_a_size_through_a_pane():
+    """Particles from the lamp bring what rays that meet the lamp through the pane find; the pane is thick, so both its faces refract."""
+    glass = Material("Glass", (Lobe("glass", Color.of(1, 0.9, 0.8), 0.0, 1.5),))
+    b = SceneBuilder()
+    b.quad("Floor", (-0.2, -0.2, 0), (0.4, 0, 0), (0, 0.4, 0), diffuse("Floor", 0.5))
+    b.box("Pane", (-3, -3, 0.4), (3, 3, 0.6), glass, inward=False)
+    b.light(Light("Lamp", "area", (5.0, 5.0, 5.0), position=(0, 0, 1.5), axis_z=(0, 0, 1), axis_x=(1, 0, 0), size_x=0.8, size_y=0.8))
+    world = World(b.build())
+    walk = radiance.Walk(world, Emitters(world), bsdf.BsdfTable(world.scene))
+    rng = np.random.default_rng(0)
+    n = 200_000
+    triangle, u = rng.integers(0, 2, n).astype(np.int32), rng.random((2, n), np.float32)
+    fold = u.sum(axis=0) > 1
+    u = np.where(fold, 1 - u, u)
+    surface = world.surface(triangle, u[0], u[1])
+    found = radiance.gather(walk, surface, radiance.white(walk, surface), rng)
+    truth = np.pi * (found.direct + found.indirect).astype(float)
+    error = truth.std(axis=0) / np.sqrt(n)
+    first = first_pass(b.build(), 100.0, particles=2_000_000, rays=16)
+    assert not first.caustics.unmet.any()
+    got = first.total[0]
+    assert (np.abs(got - truth.mean(axis=0)) < 5 * error + 0.02 * truth.mean(axis=0)).all()
+    assert (error < 0.02 * truth.mean(axis=0)).all()
 
 
 def test_a_coat_dims_what_lies_below_it_but_no_light_is_lost():
