@@ -169,6 +169,8 @@ def solve(engine: ADJOINTGI_RE_engine, plan: Plan) -> None:
         for notice in (*plan.arrays.warnings, *solution.warnings):
             if notice.severity == "warning":
                 engine.report({"WARNING"}, str(notice))
+        if spec.uses_elements and "elements" not in solution.extra:
+            engine.report({"WARNING"}, f"{spec.label} hands over no element radiosity; the pass Elements is black")
         done = True
     finally:
         engine.end_result(result, cancel=not done)

@@ -99,6 +99,23 @@ def fake_method(adjgi):
         adjgi.register()
 
 
+QUICK = {"samples": 4, "particles": 20_000, "max_edge": 0.25, "rays": 1024, "tolerance": 0.01}
+
+
+def quick(scene, method):
+    """Choose `method` with settings that end in a second on a Cornell box; returns the root properties."""
+    from adjgi.adjoint_gi.bridge import properties
+
+    state = scene.adjoint_gi
+    state.method = method
+    group = getattr(state, properties.group_name(method))
+    for name, value in QUICK.items():
+        if name in group.bl_rna.properties:
+            default = group.bl_rna.properties[name].default
+            setattr(group, name, min(value, default) if default else value)
+    return state
+
+
 def square(name="Square", size=2.0, z=0.0):
     """A mesh object with one face, a UV layer and a material, linked and selected."""
     import bpy

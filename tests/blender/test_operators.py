@@ -9,11 +9,10 @@ import pytest
 from adjgi import solvers
 from adjgi.adjoint_gi.bridge import check, jobs, properties, targets
 from adjgi.adjoint_gi.core import registry
-from adjgi.tests.blender.fakes import fake_method, square
+from adjgi.tests.blender.fakes import fake_method, quick, square
 
 solvers.load()
 METHODS = [m.spec.id for m in registry.methods()]
-QUICK = {"samples": 4, "particles": 20_000, "max_edge": 0.25, "rays": 1024, "tolerance": 0.01}
 
 
 @pytest.fixture
@@ -29,16 +28,6 @@ def scene(registered):
     jobs.forget()
 
 
-def choose(scene, method, **values):
-    state = scene.adjoint_gi
-    state.method = method
-    group = getattr(state, properties.group_name(method))
-    for name, value in (QUICK | values).items():
-        if hasattr(group, name):
-            setattr(group, name, value)
-    return state
-
-
 def materials(scene):
     return {o.name: [(s.link, s.material.name if s.material else "") for s in o.material_slots] for o in scene.objects}
 
@@ -46,7 +35,7 @@ def materials(scene):
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("target", ["texture", "attribute"])
 def test_bake_show_restore_clear(scene, method, target):
-    state = choose(scene, method)
+    state = quick(scene, method)
     state.target = target
     before = materials(scene)
     assert bpy.ops.adjoint_gi.bake() == {"FINISHED"}
@@ -64,7 +53,7 @@ def test_bake_show_restore_clear(scene, method, target):
 
 
 def test_camera_picture(scene, tmp_path):
-    state = choose(scene, "path_tracing")
+    state = quick(scene, "path_tracing")
     scene.render.resolution_x = scene.render.resolution_y = 16
     state.target = "render"
     state.folder = str(tmp_path)
@@ -85,7 +74,7 @@ def test_camera_picture(scene, tmp_path):
     ],
 )
 def test_refusals_change_nothing(scene, break_it, words):
-    state = choose(scene, "path_tracing")
+    state = quick(scene, "path_tracing")
     break_it(state)
     images, layers = len(bpy.data.images), sum(len(m.uv_layers) for m in bpy.data.meshes)
     assert bpy.ops.adjoint_gi.bake() == {"CANCELLED"}
@@ -95,7 +84,7 @@ def test_refusals_change_nothing(scene, break_it, words):
 
 
 def test_check_says_what_is_missing(scene):
-    choose(scene, "path_tracing").uv_layer = "Nowhere"
+    quick(scene, "path_tracing").uv_layer = "Nowhere"
     assert bpy.ops.adjoint_gi.check() == {"FINISHED"}
     assert "Nowhere" in str(check._Cache.notices[0])
     assert bpy.ops.adjoint_gi.bake.poll()
