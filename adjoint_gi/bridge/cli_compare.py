@@ -46,7 +46,10 @@ def compare(options: argparse.Namespace) -> int:
         print(f"wrote {path}")
     for line in table(result):
         print(line)
-    return INTERRUPTED if result.partial else 0
+    if result.partial:
+        return INTERRUPTED
+    # A method that could not take part is a result; one that crashed is not.
+    return 1 if any(n.severity == "error" for n in result.refused) else 0
 
 
 def table(result: Result) -> list[str]:

@@ -78,7 +78,7 @@ def _problem(obj: bpy.types.Object) -> str:
     slots = [s.material for s in obj.material_slots]
     if not slots or None in slots:
         return "has no material, or an empty material slot"
-    if any(m.node_tree is None or not m.use_nodes for m in slots):
+    if any(m.node_tree is None for m in slots):
         return "has a material without nodes"
     if any(m.library is not None or m.override_library is not None for m in slots):
         return "has a material that is linked from another file"

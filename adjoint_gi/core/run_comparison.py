@@ -202,7 +202,11 @@ class _Run:
             if entry.random and entry.complete and self.plan.repeats:
                 yield from self._repeat(solver, settings, entry)
         except AdjointError as error:
-            self.refused.append(error.notice)
+            self.refused.append(dataclasses.replace(error.notice, severity="warning"))
+        except Exception as error:  # a bug of one method must not cost the results of the others, but has to be seen
+            self.refused.append(Notice(label, f"failed with {type(error).__name__}: {error}", "Report this with the scene", "error"))
+        finally:
+            self.running = None
 
     def _repeat(self, solver: Solver, settings: Settings, entry: Entry) -> Iterator[Step]:
         """Independent runs with a share of the budget each. A method that had ended by itself may do so again."""

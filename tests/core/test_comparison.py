@@ -209,6 +209,19 @@ def test_a_method_that_cannot_take_part_is_listed_and_the_others_go_on(methods, 
     assert "does not answer elements" in reason_not_to(Counting(), *place, CountSettings()).reason
 
 
+def test_a_method_that_crashes_is_an_error_and_the_others_go_on(methods, place, monkeypatch):
+    def crash(self, world, receivers, settings, rng):
+        raise ZeroDivisionError("by nothing")
+        yield
+
+    monkeypatch.setattr(Exact, "solve", crash)
+    plan = Plan(("exact", "counting"), Budget("time", 0.1), settings={"counting": CountSettings(samples=2)}, repeats=0)
+    result = compare(place, plan, constant_reference((1.0,), place[1].count))
+    assert [e.method for e in result.entries] == ["counting"]
+    assert (result.refused[0].object, result.refused[0].severity) == ("Exact", "error")
+    assert "ZeroDivisionError: by nothing" in result.refused[0].reason
+
+
 def test_a_random_reference_knows_its_noise_and_shares_no_seed(methods, place, monkeypatch):
     seeds = []
     solve = Counting.solve
@@ -222,7 +235,7 @@ def test_a_random_reference_knows_its_noise_and_shares_no_seed(methods, place, m
 
 def test_a_stopped_comparison_keeps_what_it_has(methods, place):
     settings = {m: CountSettings(samples=5000) for m in ("counting", "exact")}
-    plan = Plan(("exact", "counting"), Budget("time", 60.0), settings=settings, repeats=0)
+    plan = Plan(("exact", "counting"), Budget("time", 4.0), settings=settings, repeats=0)
     driver = Driver(Comparison(constant_reference((1.0,), place[1].count)), *place, plan)
     driver.start()
     end = time.monotonic() + 20
