@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Our own OpenEXR files against the OpenEXR library, bit for bit in both directions, and hostile files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core import exr_file
+
+if not exr_file.wheel_is_safe():
+    pytest.skip("this program has an OpenEXR of its own, next to which the wheel crashes", allow_module_level=True)
+import OpenEXR
+
+
+def channels(width, height, noise=False):
+    rng = np.random.default_rng(1)
+    values = rng.integers(0, 2**32, (4, height, width), dtype=np.uint32).view(np.float32) if noise else rng.random((4, height, width))
+    values = np.where(np.isfinite(values), values, 0).astype(np.float32)
+    names = ("R", "G", "direct.B", "a layer with a name longer than thirty-one characters.R")
+    return dict(zip(names, values, strict=True))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (7, 16), (64, 33), (5, 100)])
+@pytest.mark.parametrize("noise", [False, True])
+def test_files_are_read_by_the_library_and_by_ourselves(tmp_path, size, noise):
+    made = channels(*size, noise)
+    path = tmp_path / "x.exr"
+    exr_file.write_file(path, made, {"software": "Adjoint GI", "adjoint_gi.note": "\u00fc 1"})
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        header = dict(file.header())  # closing the file empties it
+        back = {name: np.array(c.pixels) for name, c in file.channels().items()}
+    assert header["software"] == "Adjoint GI" and header["compression"] == OpenEXR.ZIP_COMPRESSION
+    own, strings = exr_file.read_file(path)
+    assert strings["adjoint_gi.note"] == "\u00fc 1" and exr_file.read_strings(path) == strings
+    for name, values in made.items():
+        assert np.array_equal(back[name].view(np.uint32), values.view(np.uint32))
+        assert np.array_equal(own[name].view(np.uint32), values.view(np.uint32))
+
+
+@pytest.mark.parametrize("compression", ["ZIP_COMPRESSION", "ZIPS_COMPRESSION", "NO_COMPRESSION"])
+def test_files_of_the_library_are_read(tmp_path, compression):
+    made = channels(33, 50)
+    path = tmp_path / "x.exr"
+    header = {"compression": getattr(OpenEXR, compression), "type": OpenEXR.scanlineimage, "software": "Adjoint GI"}
+    OpenEXR.File(header, {k: v.copy() for k, v in made.items()}).write(str(path))
+    own, strings = exr_file.read_file(path)
+    assert strings["software"] == "Adjoint GI" and set(own) == set(made)
+    assert all(np.array_equal(own[name].view(np.uint32), values.view(np.uint32)) for name, values in made.items())
+
+
+def test_damaged_files_are_refused(tmp_path):
+    path = tmp_path / "x.exr"
+    exr_file.write_file(path, channels(20, 20), {})
+    whole = path.read_bytes()
+    for cut in (0, 3, 8, 50, 200, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:cut])
+        with pytest.raises(RuntimeError, match="not an OpenEXR file"):
+            exr_file.read_file(path)
+    path.write_bytes(b"P6 2 2 255 " + bytes(500))
+    with pytest.raises(RuntimeError):
+        exr_file.read_strings(path)
+    rng = np.random.default_rng(2)
+    for _ in range(200):
+        data = bytearray(whole)
+        data[int(rng.integers(8, 400))] ^= int(rng.integers(1, 256))
+        path.write_bytes(data)
+        try:
+            exr_file.read_file(path)
+        except (RuntimeError, MemoryError):
+            continue
