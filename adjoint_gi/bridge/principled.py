@@ -1,8 +1,9 @@
 """Principled BSDF of Blender 4.2 to 5.2 as lobes; sockets are looked up by name.
 
 With alpha a, metallic m, transmission t, base colour C (each may be textured):
-    transparent 1 - a;  emission a * colour * strength;  metallic a m C;  glass a (1 - m) t C;
+    transparent 1 - a;  emission a * colour * strength;  metallic a m C;  glass a (1 - m) t sqrt(C);
     diffuse a (1 - m) (1 - t) C;  specular a (1 - m) (1 - t) tint, a dielectric coat over the diffuse.
+Cycles colours what passes through by sqrt(C), so that two surfaces give C, and leaves reflections white; here they have the colour too.
 Sheen, coat, thin film, anisotropy and subsurface scattering are not computed and are named when they are used.
 """
 
@@ -55,7 +56,9 @@ def principled_lobes(colors: Colors, place: Place) -> list[Lobe]:
     # Step 2: what is reflected.
     lobes.append(Lobe("diffuse", base * dielectric))
     lobes.append(Lobe("metallic", base * metallic * alpha, roughness))
-    lobes.append(Lobe("glass", base * (alpha * metallic.complement() * transmission), roughness, ior))
+    glass = alpha * metallic.complement() * transmission
+    if not glass.is_black:
+        lobes.append(Lobe("glass", _root(colors, place, base) * glass, roughness, ior))
     adjusted = _adjusted_ior(ior, level)
     if adjusted != 1.0:
         tint = colors.color(sockets["Specular Tint"]) if "Specular Tint" in sockets else Color.of(1.0)
@@ -68,6 +71,14 @@ def principled_lobes(colors: Colors, place: Place) -> list[Lobe]:
     if "Normal" in sockets and is_linked(sockets["Normal"]):
         colors.skip(place, "has a bump or normal map", "the mesh's own normals are used", "")
     return [lobe for lobe in lobes if not lobe.color.is_black]
+
+
+def _root(colors: Colors, place: Place, base: Color) -> Color:
+    """Square root of a colour; a texture has none that is a polynomial, so it stays and a notice says so."""
+    if base.is_constant:
+        return Color.of(*(math.sqrt(min(max(c, 0.0), 1.0)) for c in base.constant))
+    colors.skip(place, "transmits by a texture", "each surface colours light by it, not by its square root as in Cycles", "Use one colour")
+    return base
 
 
 def _adjusted_ior(ior: float, level: float) -> float:
