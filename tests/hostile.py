@@ -14,7 +14,7 @@ from adjgi.adjoint_gi.bridge import cli, demo
 from adjgi.adjoint_gi.bridge.bake import ABOUT
 from adjgi.adjoint_gi.bridge.write_image import linked_image, read_pixels
 from adjgi.tests.baking import fingerprint
-from adjgi.tests.cycles import add_light, diffuse_material
+from adjgi.tests.cycles_patch import add_light, diffuse_material
 
 CUBE = (
     [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)],

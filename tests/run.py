@@ -55,6 +55,8 @@ def end(code: int | str) -> None:
 
 def main() -> None:
     """Run pytest from the repository root and leave with its exit code."""
+    # A script's folder comes first on the path, where our helpers would stand before modules of Blender that have the same name.
+    sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != ROOT / "tests"]
     add_packages()
     import pytest
 

@@ -102,7 +102,8 @@ def _area(
     data: bpy.types.AreaLight, name: str, power: np.ndarray, matrix: np.ndarray, axes: np.ndarray, lengths: np.ndarray, notices: Notices
 ) -> Light | None:
     """An area light: its colour is the radiance along its normal with full spread. Its size grows with the object's scale."""
-    if data.cycles.is_portal:
+    # Cycles is an add-on that the user may have turned off; then there are no portals.
+    if getattr(getattr(data, "cycles", None), "is_portal", False):
         notices.add(name, "is a light portal, which only guides sampling, and is left out", "", "info")
         return None
     size_x = float(data.size) * float(lengths[0])

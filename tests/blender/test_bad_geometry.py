@@ -17,7 +17,7 @@ from adjgi.adjoint_gi.bridge import preflight as module
 from adjgi.adjoint_gi.bridge.bake import preflight
 from adjgi.adjoint_gi.bridge.lightmap_uv import make_lightmap_uv
 from adjgi.tests import baking
-from adjgi.tests.cycles import add_light, diffuse_material
+from adjgi.tests.cycles_patch import add_light, diffuse_material
 from adjgi.tests.hostile import CUBE, SQUARE, Case, camera, good, mesh, play, put, room
 from mathutils import Matrix
 

@@ -13,7 +13,7 @@ import zlib
 import bpy
 import numpy as np
 import pytest
-from adjgi.tests.cycles import add_light, shader_material
+from adjgi.tests.cycles_patch import add_light, shader_material
 from adjgi.tests.hostile import SQUARE, Case, mesh, play, room
 
 NAN = float("nan")

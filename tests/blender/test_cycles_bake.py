@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.bridge import demo
 from adjgi.tests import baking
-from adjgi.tests.cycles import add_light, diffuse_material, shader_material, white_plane
+from adjgi.tests.cycles_patch import add_light, diffuse_material, shader_material, white_plane
 
 SEEDS = 8
 TEXELS = 16

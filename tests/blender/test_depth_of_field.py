@@ -14,7 +14,7 @@ from adjgi.adjoint_gi.core.receivers import CameraReceivers
 from adjgi.adjoint_gi.core.registry import method
 from adjgi.adjoint_gi.core.world import World
 from adjgi.solvers import distribution  # noqa: F401
-from adjgi.tests.cycles import shader_material, white_plane
+from adjgi.tests.cycles_patch import shader_material, white_plane
 
 SIZE = 48
 

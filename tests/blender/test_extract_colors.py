@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.bridge.extract import extract
 from adjgi.adjoint_gi.core.shading import evaluate
-from adjgi.tests.cycles import empty_material, render_patch, white_plane
+from adjgi.tests.cycles_patch import empty_material, render_patch, white_plane
 
 PIXELS = 16
 

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.bridge.extract import extract
-from adjgi.tests.cycles import add_light, measured_irradiance, white_plane
+from adjgi.tests.cycles_patch import add_light, measured_irradiance, white_plane
 
 
 def expected_irradiance(light, at=(0.0, 0.0)):

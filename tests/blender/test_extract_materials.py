@@ -12,7 +12,7 @@ import pytest
 from adjgi.adjoint_gi.bridge import extract_images
 from adjgi.adjoint_gi.bridge.extract import extract
 from adjgi.adjoint_gi.bridge.image_header import size_of_bytes
-from adjgi.tests.cycles import diffuse_material, empty_material, render_patch, shader_material, white_plane
+from adjgi.tests.cycles_patch import diffuse_material, empty_material, render_patch, shader_material, white_plane
 
 
 def lobes_of(material):

@@ -11,7 +11,7 @@ import bmesh  # importable only after bpy
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.bridge.extract import extract
-from adjgi.tests.cycles import diffuse_material
+from adjgi.tests.cycles_patch import diffuse_material
 from mathutils import Matrix
 
 CUBE = (
