@@ -5,19 +5,24 @@ from __future__ import annotations
 from importlib import import_module
 
 MODULES: tuple[str, ...] = (
+    # Gathering, deterministic.
     "local_illumination",
     "whitted",
+    "matrix_radiosity",
+    "directional_radiosity",
     "two_pass",
+    # Gathering, nondeterministic.
     "distribution",
     "irradiance_cache",
     "path_tracing",
-    "particle_tracing",
-    "matrix_radiosity",
-    "directional_radiosity",
+    # Shooting, deterministic.
     "progressive_radiosity",
     "spherical_harmonics",
-    "potential",
+    # Shooting, nondeterministic.
+    "particle_tracing",
+    # Both.
     "multi_pass",
+    "potential",
 )
 
 
