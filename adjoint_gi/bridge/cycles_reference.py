@@ -21,6 +21,7 @@ from ..core.errors import Notice, TargetError
 from ..core.lightmap import Lightmap
 from ..core.world import World
 from .bake import Sheet, find_objects
+from .versions import uses_nodes
 from .write_image import read_pixels
 
 FEW = 0.25  # share of texels on one triangle below which those on one plane serve too
@@ -78,7 +79,7 @@ def _problem(obj: bpy.types.Object) -> str:
     slots = [s.material for s in obj.material_slots]
     if not slots or None in slots:
         return "has no material, or an empty material slot"
-    if any(m.node_tree is None for m in slots):
+    if any(m.node_tree is None or not uses_nodes(m) for m in slots):
         return "has a material without nodes"
     if any(m.library is not None or m.override_library is not None for m in slots):
         return "has a material that is linked from another file"

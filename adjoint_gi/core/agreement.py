@@ -284,7 +284,8 @@ def _lines(differences: Sequence[Difference], methods: dict[str, Measured]) -> t
             loud.append(f"DISAGREE: {d.first} and {d.second} differ by {100 * abs(d.relative):.3g} % on {d.object}, {_chance(d.p)}.")
     if not loud and differences:
         fine = sum(not d.significant for d in differences)
-        loud.append(f"Agree: {fine} of {len(differences)} pairs differ by no more than noise and their stated allowances.")
+        rest = "" if fine == len(differences) else "; the others differ as they state"
+        loud.append(f"Agree: {fine} of {len(differences)} pairs differ by no more than noise and their stated allowances{rest}.")
     known = [f"Differs as stated: {reason}: {', '.join(parts)}." for reason, parts in stated.items()]
     return tuple(loud + known)
 
