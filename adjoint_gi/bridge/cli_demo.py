@@ -50,6 +50,10 @@ def demo(options: argparse.Namespace) -> int:
     if not options.in_blender:
         bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = build_cornell(size=(options.size, options.size))
+    if not options.in_blender:
+        # The file that is saved must open on the box, not on the empty scene of the start.
+        for other in [s for s in bpy.data.scenes if s != scene]:
+            bpy.data.scenes.remove(other)
     with bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
         return _bake_all(wanted, folder, began)
 
