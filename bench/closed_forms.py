@@ -49,7 +49,7 @@ def cases() -> list[tuple]:
         ("T1", "the same, albedo 0.8", scenes.cube(0.8, 1.0), 0.25, "radiosity", one, [5.0]),
         ("T2", "mean irradiance of a room 4 x 4 x 3", scenes.room(0.5, 0.5, 0.5), 0.5, "irradiance", one, [0.4]),
         ("T3", "irradiance in the halves of a two-zone sphere", scenes.two_zone_sphere(4), 0.2, "irradiance", halves, [1.0, 1.0]),
-        ("T6", "radiosity of two rooms joined by a door", scenes.snowman(4), 0.3, "radiosity", objects, [a, b]),
+        ("T6", "radiosity of two rooms joined by a door", scenes.snowman(2), 0.5, "radiosity", objects, [a, b]),
         ("T10", "walls, floor, ceiling of a lit cube", scenes.lit_cube(0.5), 0.125, "radiosity", faces, [0.1811, 0.1712, 1.1044]),
     ]  # fmt: skip
 

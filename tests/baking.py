@@ -95,6 +95,23 @@ def outlined(baked: Baked, boxes: Sequence[bpy.types.Object]) -> np.ndarray:
     return cut
 
 
+def doubled(baked: Baked, distance: float = 2e-3) -> np.ndarray:
+    """(h, w) bool: texels with a point on which another surface lies within `distance` metres, above or below.
+
+    Where faces coincide, Cycles' rays may meet the other one at distance zero, while ours start an offset away from both.
+    """
+    receivers, world = baked.lightmap.receivers, baked.world
+    surface = world.surface(receivers.triangle, receivers.u, receivers.v)
+    mixed = np.zeros(len(receivers.triangle), bool)
+    for side in (1.0, -1.0):
+        normal = (side * surface.ng).astype(np.float32)
+        origin = np.ascontiguousarray(surface.position + np.float32(distance) * normal, np.float32)
+        hit, _, _, t = world.intersect(origin, np.ascontiguousarray(-normal))
+        mixed |= (hit != receivers.triangle) & (t < 2 * distance)
+    count = np.add.reduceat(mixed.astype(int), receivers.start[:-1])
+    return baked.lightmap.image((count > 0).astype(np.float32))[..., 0] > 0
+
+
 # ---- Cycles
 
 
@@ -198,10 +215,9 @@ class Comparison:
         """Typical standard error of a texel, relative to the mean."""
         return float(np.median(self.error[self.used]) / self.theirs[self.used].mean())
 
-    @property
-    def limit(self) -> float:
-        """Limit of `worst` at 1 % for all texels and channels together (Sidak), for normal deviates."""
-        return sidak(3 * int(self.used.sum()))
+    def limit(self, comparisons: int = 1) -> float:
+        """Limit of `worst` at 1 % for all texels and channels of that many such comparisons together (Sidak), for normal deviates."""
+        return sidak(3 * int(self.used.sum()) * comparisons)
 
 
 def sidak(tests: int, alpha: float = 0.01) -> float:
