@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
+from . import exr_file
 from .atomic import SOFTWARE, replace_file, require_finite
 from .errors import WriteError
 
@@ -45,6 +46,9 @@ def write_exr(
     header.update({f"adjoint_gi.{key}": str(value) for key, value in (metadata or {}).items()})
 
     def write(temporary: Path) -> None:
+        if not exr_file.wheel_is_safe():
+            exr_file.write_file(temporary, channels, {k: v for k, v in header.items() if isinstance(v, str)})
+            return
         # Encoded in memory and written by Python: the library takes no path that is not UTF-8 and hides why a write failed.
         encoded = io.BytesIO()
         OpenEXR.File(header, {k: v.copy() for k, v in channels.items()}).write(encoded)
@@ -78,6 +82,8 @@ def read_exr(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
 def is_ours(path: Path) -> bool:
     """Whether this is an OpenEXR file that Adjoint GI wrote."""
     try:
+        if not exr_file.wheel_is_safe():
+            return exr_file.read_strings(path).get("software") == SOFTWARE
         with open(path, "rb") as stream, OpenEXR.File(stream, header_only=True) as file:
             return file.header().get("software") == SOFTWARE
     except (RuntimeError, OSError, ValueError):
@@ -97,5 +103,7 @@ def _channels(prefix: str, values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _read(path: Path) -> tuple[dict[str, np.ndarray], dict]:
+    if not exr_file.wheel_is_safe():
+        return exr_file.read_file(path)
     with open(path, "rb") as stream, OpenEXR.File(stream, separate_channels=True) as file:
         return {name: np.array(c.pixels) for name, c in file.channels().items()}, dict(file.header())
