@@ -82,6 +82,7 @@ SAME = {
     "principled glass, white": shader(PRINCIPLED, Base_Color=WHITE, Transmission_Weight=1.0, Roughness=0.0, IOR=1.5),
     "mix": mixed,
 }
+LIMIT = baking.sidak(3 * SIZE**2 * len(SAME), 0.01)  # standard errors: 1 % for all pixels, channels and materials together
 # What is measured: ours over Cycles' - 1 in the mean over the ball. The docs have the same numbers.
 OTHER = {
     "glossy 0.5 multiple": (shader(GLOSSY, "MULTI_GGX", Color=GOLD, Roughness=0.5), -0.076),
@@ -97,7 +98,7 @@ OTHER = {
     "principled glass, gold": (shader(PRINCIPLED, Base_Color=GOLD, Transmission_Weight=1.0, Roughness=0.0, IOR=1.5), -0.087),
     "principled coat": (shader(PRINCIPLED, Base_Color=GOLD, Roughness=0.5, Coat_Weight=1.0), -0.015),
     "anisotropic 0.8": (shader(GLOSSY, Color=GOLD, Roughness=0.3, Anisotropy=0.8), 0.182),
-    "rough diffuse": (shader(DIFFUSE, Color=GOLD, Roughness=1.0), 0.161),
+    "rough diffuse": (shader(DIFFUSE, Color=GOLD, Roughness=1.0), 0.161 if bpy.app.version >= (4, 3, 0) else 0.300),  # 4.2 loses energy
     "metallic node": (shader("ShaderNodeBsdfMetallic", Roughness=0.2), 0.008),
     "smooth mirror": (shader(GLOSSY, Color=GOLD, Roughness=0.0), 0.0),
     "smooth glossy 0.5": (shader(GLOSSY, Color=GOLD, Roughness=0.5), 0.0),
@@ -189,7 +190,7 @@ def text(name, whole, ball):
     rms = float(np.sqrt((whole.z**2).mean()))
     change = 100 * (ball.ours[ball.used].mean(axis=0) / ball.theirs[ball.used].mean(axis=0) - 1)
     mean = f"ball {100 * ball.mean:+.2f} +- {100 * ball.mean_error:.2f} % (RGB {change.round(1)})"
-    return f"{name}: {mean}, picture {100 * whole.mean:+.2f} %, z rms {rms:.2f}, worst {whole.worst:.2f} of {whole.limit:.2f}"
+    return f"{name}: {mean}, picture {100 * whole.mean:+.2f} %, z rms {rms:.2f}, worst {whole.worst:.2f} of {LIMIT:.2f}"
 
 
 @pytest.mark.parametrize("name", SAME)
@@ -199,7 +200,7 @@ def test_same_models_agree_within_noise(name):
     print(said)
     assert ball.mean_error < 0.01, said
     assert abs(ball.mean) < max(4 * ball.mean_error, 0.002), said
-    assert whole.worst < whole.limit, said
+    assert whole.worst < LIMIT, said
     assert np.sqrt((whole.z**2).mean()) < 1.3, said
 
 
