@@ -216,11 +216,11 @@ class Comparison:
         return float(np.median(self.error[self.used]) / self.theirs[self.used].mean())
 
     def limit(self, comparisons: int = 1) -> float:
-        """Limit of `worst` at 1 % for all texels and channels of that many such comparisons together (Sidak), for normal deviates."""
+        """Limit of `worst` at 0.1 % for all texels and channels of that many such comparisons together (Sidak), for normal deviates."""
         return sidak(3 * int(self.used.sum()) * comparisons)
 
 
-def sidak(tests: int, alpha: float = 0.01) -> float:
+def sidak(tests: int, alpha: float = 1e-3) -> float:
     """Two-sided limit of |z| which `tests` independent normal deviates all keep with probability 1 - alpha."""
     return statistics.NormalDist().inv_cdf(0.5 + 0.5 * (1 - alpha) ** (1 / tests))
 
