@@ -283,11 +283,18 @@ def with_effort(solver: Solver, world: World, receivers: Receivers, settings: Se
     longest = min(PILOT, 0.15 * budget.seconds)
     first = None
     with closing(trial):
-        while trial.seconds < longest and trial.advance():
+        # What comes before the first sample, such as elements and receivers, says nothing about the speed of samples.
+        while trial.seconds < (longest if first is None else min(first[0] + longest, budget.seconds)) or first is None:
+            if trial.seconds > budget.seconds or not trial.advance():
+                break
             first = first or ((trial.seconds, trial.step.fraction) if trial.step.fraction > 0 else None)
             yield None
         fraction = 1.0 if trial.ended else (trial.step.fraction if trial.step else 0.0)
         rays = trial.solution().rays if trial.step is not None else 0
+    if fraction <= 0:
+        # Not one sample within the whole budget: its own settings are as good as any.
+        yield settings
+        return
     start, begun = first or (0.0, 0.0)
     if fraction > begun and trial.seconds > start:
         rate = (fraction - begun) / (trial.seconds - start)

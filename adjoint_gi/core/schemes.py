@@ -143,6 +143,7 @@ class Southwell:
         self.reached = (emitted > 0).any(axis=1) | (arriving > 0).any(axis=1)
         self.absorbed = np.zeros(3)
         self.escaped = np.zeros(3)
+        self.sent = np.zeros(3)  # by all shots, arrived or escaped
         self.cut = np.zeros(3)
         self.shots = 0
         # Overshooting sends light of unknown length, which a bound on lengths cannot take.
@@ -186,7 +187,7 @@ class Southwell:
         new.indirect, new.reached = self.indirect[root], self.reached[root]
         new.unshot = self.unshot[:, root]
         new.unshot[1:] *= factor
-        new.absorbed, new.escaped, new.cut = self.absorbed.copy(), self.escaped.copy(), self.cut.copy()
+        new.absorbed, new.escaped, new.cut, new.sent = (x.copy() for x in (self.absorbed, self.escaped, self.cut, self.sent))
         return new
 
     def arrive_later(self, irradiance: np.ndarray) -> None:
@@ -205,11 +206,15 @@ class Southwell:
         return (self.transport.area[:, None] * self.unshot.sum(axis=0)).sum(axis=0) + self.cut
 
     def ambient(self) -> np.ndarray:
-        """(3,) irradiance that the unshot light would give everywhere it can come, reflected on for ever (Cohen 1988)."""
+        """(3,) irradiance that the unshot light would give everywhere it can come, reflected on for ever (Cohen 1988).
+
+        Cohen's scenes are closed. In open ones a share of what is sent escapes; the shots so far tell it, so before them this is 0.
+        """
         area = self.transport.area * self.reached
         whole = max(float(area.sum()), 1e-300)
         mean_rho = (area[:, None] * self.transport.rho).sum(axis=0) / whole
-        return (self.remaining() - self.cut) / whole / np.maximum(1 - mean_rho, 1e-3)
+        stays = np.clip(1 - self.escaped / np.maximum(self.sent, 1e-300), 0, 1) * (self.sent > 0)
+        return (self.remaining() - self.cut) * stays / whole / np.maximum(1 - mean_rho * stays, 1e-3)
 
     def shoot(self, index: np.ndarray, rays: np.ndarray) -> None:
         """Send the unshot light of sides `index` (m,), all at once, with `rays` (m,) rays each."""
@@ -217,6 +222,7 @@ class Southwell:
         if self.overshoot:
             out[-1] += self._expected(index)
         self.unshot[:, index] -= out
+        self.sent += np.abs(out * self.transport.area[index, None]).sum(axis=(0, 1))
         classes = len(out)
         # Classes in which nobody has anything are not carried along.
         used = np.flatnonzero(out.any(axis=(1, 2)))

@@ -192,6 +192,20 @@ def test_the_ambient_estimate_brings_partial_results_nearer_and_is_gone_at_the_e
     assert len(dark) and not middle[dark].any()
 
 
+def test_the_ambient_estimate_knows_that_light_escapes_from_open_scenes():
+    # A trough open to a bright sky, of albedo 0.8: taken for closed, it would be several times too bright.
+    b = SceneBuilder()
+    wall = diffuse("Wall", 0.8)
+    b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), wall)
+    b.quad("Left", (-1, -1, 0), (0, 2, 0), (0, 0, 0.5), wall)
+    b.quad("Right", (1, -1, 0), (0, 0, 0.5), (0, 2, 0), wall)
+    b.background = (1.0, 1.0, 1.0)
+    receivers = on_elements(b.build(), 0.1)
+    final = solve(receivers, rays=200_000).indirect.mean()
+    partial = [s.solution().indirect.mean() for s in states(receivers, rays=200_000) if s.fraction < 1]
+    assert len(partial) > 3 and max(partial) < 1.25 * final
+
+
 def test_same_result_whatever_the_seed_and_the_threads(monkeypatch):
     world = World(scenes.cornell(8, 8))
     results = []
