@@ -108,7 +108,9 @@ def output(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     elif state.target == "attribute":
         column.prop(state, "attribute")
         column.prop(state, "domain")
-        column.prop(state, "new_object")
+        solver = chosen(context.scene)
+        made = "New Object (Elements)" if solver is not None and solver.spec.uses_elements else "New Object (Evaluated Mesh)"
+        column.prop(state, "new_object", text=made)
     if state.target != "attribute":
         layout.prop(state, "folder")
 

@@ -107,6 +107,10 @@ class DirectionalRadiosity(Solver):
     )
     Settings = DirectionalSettings
 
+    def element_target(self, settings: DirectionalSettings) -> int:
+        """Elements wanted where max_edge is 0."""
+        return TARGET
+
     def memory(self, world: World, receivers: Receivers, settings: DirectionalSettings) -> int:
         """Rays both ways, fields of element sides times bins, scattering matrices, receivers."""
         own = getattr(receivers, "elements", None)

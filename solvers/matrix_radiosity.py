@@ -96,6 +96,10 @@ class MatrixRadiosity(Solver):
     )
     Settings = MatrixSettings
 
+    def element_target(self, settings: MatrixSettings) -> int:
+        """Elements wanted where max_edge is 0."""
+        return TARGET
+
     def memory(self, world: World, receivers: Receivers, settings: MatrixSettings) -> int:
         """At most this: as if light reached both sides of every element."""
         own = getattr(receivers, "elements", None)

@@ -126,6 +126,10 @@ class MultiPass(Solver):
     )
     Settings = MultiPassSettings
 
+    def element_target(self, settings: MultiPassSettings) -> int:
+        """Elements wanted where max_edge is 0."""
+        return TARGET
+
     def memory(self, world: World, receivers: Receivers, settings: MultiPassSettings) -> int:
         """Elements, rays under way, receivers in both passes and their points."""
         own = getattr(receivers, "elements", None)

@@ -111,6 +111,10 @@ class ParticleTracing(Solver):
     )
     Settings = ParticleSettings
 
+    def element_target(self, settings: ParticleSettings) -> int:
+        """Elements wanted where max_edge is 0."""
+        return automatic(settings.particles)
+
     def memory(self, world: World, receivers: Receivers, settings: ParticleSettings) -> int:
         """Elements, their sums in float64, the batches under way and the receivers' points."""
         if at_receivers(receivers, settings):

@@ -159,6 +159,10 @@ class Potential(Solver):
     )
     Settings = PotentialSettings
 
+    def element_target(self, settings: PotentialSettings) -> int:
+        """Elements wanted where max_edge is 0."""
+        return TARGET
+
     def memory(self, world: World, receivers: Receivers, settings: PotentialSettings) -> int:
         """The matrix or the rays of the elements, their fields, and the receivers' points; of walks only what is under way."""
         if settings.solution == "walks" and settings.receivers != "camera":

@@ -23,6 +23,7 @@ import numpy as np
 from ..adjoint_gi.core.adaptive import GROWTH, Subdivision, shoot_emitters
 from ..adjoint_gi.core.answer import ElementAnswer, elements_for
 from ..adjoint_gi.core.element_mesh import element_mesh
+from ..adjoint_gi.core.element_nodes import ElementNodes
 from ..adjoint_gi.core.element_rays import ElementRays
 from ..adjoint_gi.core.elements import Elements
 from ..adjoint_gi.core.emitters import Emitters
@@ -120,6 +121,10 @@ class ProgressiveRadiosity(Solver):
     )
     Settings = ProgressiveSettings
 
+    def element_target(self, settings: ProgressiveSettings) -> int:
+        """Elements wanted where max_edge is 0."""
+        return target(settings)
+
     def memory(self, world: World, receivers: Receivers, settings: ProgressiveSettings) -> int:
         """Elements, unshot light by path length, rays under way and receivers; it grows linearly with the elements."""
         own = getattr(receivers, "elements", None)
@@ -142,14 +147,18 @@ class _Run:
         self.started = time.monotonic()
         self.base = self.elements = elements_for(world, receivers, settings.max_edge, target(settings))
         self.emitters = Emitters(world)
-        gather = receiver_light(world, self.emitters, settings)
-        self.answer = ElementAnswer(self.elements, receivers, gather, settings.min_length, settings.max_length)
+        self.gather = receiver_light(world, self.emitters, settings)
+        self.answer = self._answer(receivers)
+        self.fine: ElementAnswer | None = None  # at the corners of the elements that subdivision has made
         self.lamps = LampLight(self.elements, self.emitters, settings.light_samples)
         self.transport = FreshRayTransport(ElementRays(self.elements))
         self.warnings = world.scene.warnings + world.shading.substitutions(solver.spec.lobes)
         self.history: list[tuple[float, float]] = []
         self.rays = 0  # of transports that are no longer used, and of subdivision
         self.state = self._southwell()
+
+    def _answer(self, receivers: Receivers) -> ElementAnswer:
+        return ElementAnswer(self.elements, receivers, self.gather, self.settings.min_length, self.settings.max_length)
 
     def _southwell(self) -> Southwell:
         s = self.settings
@@ -209,6 +218,13 @@ class _Run:
         if division.full:
             reason = f"subdivision stopped at {self.elements.count:,} elements, {GROWTH} times as many as before"
             self._warn(reason, "Raise min_edge or contrast, or lower max_edge")
+        # The mesh that was asked for has got more vertices.
+        if isinstance(self.receivers, ElementNodes) and isinstance(self.elements, RefinedElements):
+            fine = self._answer(ElementNodes(self.elements, self.receivers.objects))
+            for share in fine.prepare():
+                yield self._step(0.0, f"Direct light on the new elements, {share:.0%}")
+            self.fine = fine
+            self.rays += fine.rays
 
     def _warn(self, reason: str, remedy: str) -> None:
         self.warnings += (Notice(self.solver.spec.label, reason, remedy),)
@@ -226,7 +242,9 @@ class _Run:
         if isinstance(elements, RefinedElements):
             if not self.answer.identity:
                 indirect = smoothed(elements, self.base, indirect)
-            if not partial:
+            if self.fine is not None and elements is self.fine.elements:
+                extra = self.fine.receivers.wire(self.fine.parts(direct, indirect).arrays())
+            elif not partial:
                 extra = wire(elements, direct + indirect)
         parts = self.answer.parts(direct, indirect)
         return Solution(

@@ -104,6 +104,10 @@ class SphericalHarmonics(Solver):
     )
     Settings = HarmonicSettings
 
+    def element_target(self, settings: HarmonicSettings) -> int:
+        """Elements wanted where max_edge is 0."""
+        return TARGET
+
     def memory(self, world: World, receivers: Receivers, settings: HarmonicSettings) -> int:
         """Coefficients of element sides by path length, rays under way, the pairs that lobes are projected from, receivers."""
         own = getattr(receivers, "elements", None)

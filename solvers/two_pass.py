@@ -112,6 +112,10 @@ class TwoPass(Solver):
     )
     Settings = TwoPassSettings
 
+    def element_target(self, settings: TwoPassSettings) -> int:
+        """Elements wanted where max_edge is 0."""
+        return TARGET
+
     def memory(self, world: World, receivers: Receivers, settings: TwoPassSettings) -> int:
         """Chains of all element sides, irradiance by length where lengths are bounded, receivers and batches under way."""
         own = getattr(receivers, "elements", None)

@@ -21,6 +21,8 @@ import bpy
 import numpy as np
 
 from ..core.driver import Driver
+from ..core.element_nodes import ElementNodes, mesh_solution
+from ..core.elements import Elements
 from ..core.errors import AdjointError, Notice, TargetError
 from ..core.exr import write_exr
 from ..core.lightmap import Lightmap, Placement, join, rasterize
@@ -39,6 +41,7 @@ from .pictures import exposure, write_picture
 from .preflight import has_own_layer, inspect, look, ordered, picture_size, preflight, receiving
 from .request import BakeRequest, raise_first
 from .write_attribute import write_attribute
+from .write_elements import write_elements
 from .write_image import write_image
 
 __all__ = ["Bake", "BakeRequest", "preflight"]
@@ -89,6 +92,7 @@ class Bake:
         self.notices = [n for n in notices if n.severity != "error"]
         self._sheets: list[Sheet] = []
         self._vertices: VertexMap | None = None
+        self._nodes: ElementNodes | None = None
         self.transparent = bool(context.scene.render.film_transparent)
         receivers = self._receivers(context, world)
         self.notices = ordered(self.notices)
@@ -160,6 +164,10 @@ class Bake:
         if request.target == "render":
             return CameraReceivers(world)
         indices = receiving(world.scene, request)
+        if request.target == "attribute" and request.new_object and request.solver.spec.uses_elements:
+            elements = Elements(world, request.settings.max_edge, request.solver.element_target(request.settings))
+            self._nodes = ElementNodes(elements, indices)
+            return self._nodes
         if request.target == "attribute":
             self._vertices = vertex_receivers(world, indices, request.domain)
             return self._vertices.receivers
@@ -232,25 +240,24 @@ class Bake:
         return datablocks, paths
 
     def _write_attributes(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:
-        """One colour attribute on each object. Files cannot hold it; the .blend does."""
+        """One colour attribute on each object, or on the object made of its elements. Files cannot hold it; the .blend does."""
+        mesh = None
+        if self._nodes is not None:
+            mesh, solution = mesh_solution(self._nodes, solution)
         values = solution.quantity(self.request.quantity)
-        valid = (solution.weight > 0).astype(np.float32)[:, None]
+        valid = (solution.weight > 0).astype(np.float32)
         depsgraph = bpy.context.evaluated_depsgraph_get()
         datablocks = []
         for index in receiving(self.world.scene, self.request):
             obj = self.world.scene.objects[index]
             target = find_objects((obj.uid,), obj.source)[0]
-            covered = self._vertices.spread(index, valid)[:, 0]
-            written = write_attribute(
-                target,
-                self.request.quantity,
-                self.request.domain,
-                self._vertices.spread(index, values),
-                covered,
-                name=self.request.attribute,
-                depsgraph=depsgraph,
-                new_object=self.request.new_object,
-            )
+            where = (target, self.request.quantity, self.request.domain)
+            how = {"name": self.request.attribute, "depsgraph": depsgraph}
+            if mesh is not None:
+                written = write_elements(*where, self.world.scene, index, mesh, values, valid, **how)
+            else:
+                found = self._vertices.spread(index, values), self._vertices.spread(index, valid)[:, 0]
+                written = write_attribute(*where, *found, **how, new_object=self.request.new_object)
             written.object.data[ABOUT] = self._about(solution)
             datablocks.append(f"attribute {written.attribute} of {written.object.name}")
         return datablocks, []

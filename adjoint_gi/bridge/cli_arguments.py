@@ -70,7 +70,8 @@ def add_request(parser: argparse.ArgumentParser, in_blender: bool) -> None:
     parser.add_argument("--subsamples", type=int, default=DEFAULTS["subsamples"], help=f"points in each texel ({default})")
     parser.add_argument("--attribute", default=DEFAULTS["attribute"], metavar="NAME", help=f"name of the colour attribute ({default})")
     parser.add_argument("--domain", default=DEFAULTS["domain"], choices=DOMAINS, help=default)
-    parser.add_argument("--new-object", action="store_true", help="write the attribute to a copy that carries the evaluated mesh")
+    what = "write the attribute to a new object: the elements of element methods, or the evaluated mesh"
+    parser.add_argument("--new-object", action="store_true", help=what)
     parser.add_argument("--size", metavar="WxH", help="size of the picture (default: that of the render settings)")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the method; may be repeated")
     parser.add_argument("--seed", type=int, help="start of the random numbers")

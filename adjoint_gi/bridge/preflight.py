@@ -140,7 +140,11 @@ def estimates(world: World, request: BakeRequest, objects: int) -> list[Notice]:
         needed += lightmap_memory(request.resolution, request.resolution, request.subsamples)
         what = f"up to {receivers.count:,} texels"
     elif request.target == "attribute":
-        receivers.count = sum(world.scene.objects[i].corner_count for i in receiving(world.scene, request))
+        if request.new_object and solver.spec.uses_elements and world.triangle_count:
+            # At most the four corners of every element.
+            receivers.count = 4 * Elements.planned(world, settings.max_edge, solver.element_target(settings))
+        else:
+            receivers.count = sum(world.scene.objects[i].corner_count for i in receiving(world.scene, request))
         what = f"up to {receivers.count:,} vertices and corners"
     else:
         camera = world.scene.camera

@@ -110,7 +110,8 @@ class Root:
     )
     new_object: bpy.props.BoolProperty(
         name="New Object",
-        description="Write the attribute to a copy that carries the evaluated mesh, as needed when modifiers change the mesh",
+        description="Write the attribute to an object of its own, hidden from renders: element methods make it of their elements, so that "
+        "walls are subdivided; other methods take the evaluated mesh, as needed when modifiers change the mesh",
         default=DEFAULT["new_object"],
     )
     folder: bpy.props.StringProperty(

@@ -32,7 +32,7 @@ class BakeRequest:
     margin       texels by which charts are extended
     subsamples   points in each texel
     attribute    name of the colour attribute
-    new_object   write the attribute to a copy that carries the evaluated mesh
+    new_object   write the attribute to an object made of the elements, or by other methods to a copy that carries the evaluated mesh
     output       folder for files; empty means none
     width, height   of the camera picture; 0 means those of the render settings
     """

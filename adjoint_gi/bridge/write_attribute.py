@@ -126,17 +126,23 @@ def write_attribute(
         raise TargetError(
             obj.name, f"has {expected} values to fill but the result has {len(values)}: it was edited meanwhile", "Bake again"
         )
-    target = _result_object(obj, mesh) if new_object else obj
+    target = place_result_object(obj, mesh) if new_object else obj
 
+    colors = np.concatenate([values, covered[:, None]], axis=1)
+    return WrittenAttribute(target, fill_attribute(obj, mesh, key, domain, name, colors))
+
+
+def fill_attribute(obj: bpy.types.Object, mesh: bpy.types.Mesh, key: str, domain: str, name: str, colors: np.ndarray) -> str:
+    """Write `colors` (n, 4) float32 to our attribute for `key` on `mesh`, new or reused; returns its name. Raises WriteError."""
     attribute = _attribute(mesh, key, domain, name)
-    data = np.ascontiguousarray(np.concatenate([values, covered[:, None]], axis=1))
+    data = np.ascontiguousarray(colors, np.float32)
     attribute.data.foreach_set("color", data.ravel())
     mesh.update()
     back = np.empty(data.size, np.float32)
     attribute.data.foreach_get("color", back)
     if not np.array_equal(back.view(np.uint32), data.ravel().view(np.uint32)):
         raise WriteError(obj.name, f'attribute "{attribute.name}" does not hold the values that were written', "Bake again")
-    return WrittenAttribute(target, attribute.name)
+    return attribute.name
 
 
 def linked_attribute(obj: bpy.types.Object, key: str) -> str | None:
@@ -208,7 +214,7 @@ def _attribute(mesh: bpy.types.Mesh, key: str, domain: str, name: str) -> bpy.ty
     return mesh.attributes[made_name]
 
 
-def _result_object(obj: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
+def place_result_object(obj: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
     """The separate object of `obj`, new or reused, with `mesh` as its mesh and the place of `obj`."""
     mesh.name = obj.name + " GI"
     made = result_object(obj)
@@ -221,7 +227,7 @@ def _result_object(obj: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Obj
     else:
         old = made.data
         made.data = mesh
-        if old.users == 0:
+        if old != mesh and old.users == 0:
             bpy.data.meshes.remove(old)
     made.matrix_world = obj.matrix_world.copy()
     return made

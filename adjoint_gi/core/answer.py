@@ -51,7 +51,7 @@ class _Sites:
 
 
 def elements_for(world: World, receivers: Receivers, max_edge: float, target: int) -> Elements:
-    """The receivers' own elements where the receivers are elements, else new ones."""
+    """The receivers' own elements where the receivers are elements or their corners, else new ones."""
     own = getattr(receivers, "elements", None)
     return own if own is not None else Elements(world, max_edge, target)
 
@@ -68,7 +68,7 @@ class ElementAnswer:
     ) -> None:
         self.elements = elements
         self.receivers = receivers
-        self.identity = getattr(receivers, "elements", None) is elements
+        self.identity = receivers.kind == "elements" and getattr(receivers, "elements", None) is elements
         self.emission = min_length == 0
         self.gather = gather if min_length <= 1 <= max_length and not self.identity else None
         # Lamps with a size are seen by the camera, in front of surfaces or against the background.

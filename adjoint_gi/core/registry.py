@@ -66,6 +66,10 @@ class Solver:
         """Bytes the method will need beyond the world and the receivers, known before it starts."""
         return receivers.count * 3 * 4 * 6
 
+    def element_target(self, settings: Settings) -> int:
+        """Elements wanted where the setting `max_edge` is 0; only methods with `spec.uses_elements` define it."""
+        raise TypeError(f"{type(self).__name__} does not define element_target()")
+
     def solve(self, world: World, receivers: Receivers, settings: Settings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield a `Step` at least every quarter of a second; the last one is the finished result."""
         raise TypeError(f"{type(self).__name__} does not define solve()")
