@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -72,26 +73,36 @@ class ElementNodes(SurfaceReceivers):
         none = np.zeros((len(self.corners), 0), np.float32)
         return ElementMesh(self.vertices, self.corners, self.face_start, self.triangle_of_face, none)
 
+    @cached_property
+    def _hanging(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Receivers inside longer edges of neighbours, those at the ends there, and how far along they are; the groups must keep order."""
+        if not isinstance(self.elements, RefinedElements):
+            return []
+        nodes = self.elements.nodes
+        kinds = np.unique(self._key[:, 0])
+        flat = self._key[:, 0] * nodes.count + self._key[:, 1]  # sorted, as the keys are
+        out = []
+        for group in nodes.groups:
+            node, low, high, share = (np.tile(x[group], len(kinds)) for x in nodes.hanging)
+            kind = np.repeat(kinds, len(group))
+            wanted = [kind * nodes.count + x for x in (node, low, high)]
+            at = [np.minimum(np.searchsorted(flat, x), len(flat) - 1) for x in wanted]
+            there = np.all([flat[a] == x for a, x in zip(at, wanted, strict=True)], axis=0)
+            out.append((*(a[there] for a in at), share[there]))
+        return out
+
     def without_cracks(self, values: np.ndarray) -> np.ndarray:
         """`values` (count, c), those of vertices inside longer edges of neighbours replaced by what lies between the ends there."""
-        if not isinstance(self.elements, RefinedElements):
-            return values
         out = np.array(values)
-        place = {(kind, node): i for i, (kind, node) in enumerate(self._key.tolist())}
-        kinds: dict[int, list[int]] = {}
-        for kind, node in self._key.tolist():
-            kinds.setdefault(node, []).append(kind)
         # Longest edges come first, as their ends rule the rest.
-        for node, low, high, share in zip(*(x.tolist() for x in self.elements.nodes.hanging), strict=True):
-            for kind in kinds.get(node, ()):
-                a, b = place.get((kind, low)), place.get((kind, high))
-                if a is not None and b is not None:
-                    out[place[kind, node]] = (1 - share) * out[a] + share * out[b]
+        for node, low, high, share in self._hanging:
+            w = share[:, None]
+            out[node] = (1 - w) * out[low] + w * out[high]
         return out
 
     def wire(self, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """The mesh and the parts of a solution (count, c) at its vertices, for `Solution.extra`; names as in `ElementMesh` and `PARTS`."""
-        found = {name: self.without_cracks(arrays[name]) for name in PARTS}
+        found = {name: self.without_cracks(arrays[name].reshape(self.count, -1)).reshape(arrays[name].shape) for name in PARTS}
         mesh = replace(self.mesh(), values=(found["direct"] + found["indirect"])[self.corners])
         shape = {name: getattr(mesh, name) for name in ("vertices", "corners", "start", "triangle", "values")}
         return {f"mesh_{name}": array for name, array in (shape | found).items()}

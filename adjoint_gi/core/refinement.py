@@ -144,13 +144,13 @@ class RefinedNodes(Nodes):
         keep = np.sort(first)
         self.hanging = node[keep], low[keep], high[keep], share[keep].astype(np.float32)
         cut = np.flatnonzero(np.diff(length[keep]) < -1e-9 * self.elements.world.size) + 1
-        self._groups = np.split(np.arange(len(keep)), cut) if len(keep) else []
+        self.groups = np.split(np.arange(len(keep)), cut) if len(keep) else []
 
     def values(self, values: np.ndarray) -> np.ndarray:
         """As `Nodes.values`; nearer, smaller elements weigh more, and hanging nodes follow their edge."""
         out = super().values(values)
         node, low, high, share = self.hanging
-        for group in self._groups:
+        for group in self.groups:
             w = share[group, None]
             for side in (0, 1):
                 a, b = out[2 * low[group] + side], out[2 * high[group] + side]

@@ -109,6 +109,19 @@ def test_adaptive_elements_are_smaller_at_the_shadow_and_hold_the_light_there(do
     far = np.abs(middle - 0.5).max(axis=1) > 0.42
     assert at_shadow.any() and sum(fine) > 100 and not np.any(np.array(fine)[far])
     assert sum(p.area for p in made.data.polygons) == pytest.approx(1, rel=1e-5)
+    # No cracks: a vertex inside the edge of a larger neighbour has the value of that edge.
+    solution = done.driver.solution()
+    assert "mesh_weight" in solution.extra
+    light = solution.extra["mesh_direct"][:, 0]
+    start, corners, at = (solution.extra[f"mesh_{x}"] for x in ("start", "corners", "vertices"))
+    quads = corners.reshape(-1, 4)
+    assert len(quads) == len(start) - 1
+    inner = 0
+    for a, b in zip(quads.ravel(), np.roll(quads, -1, axis=1).ravel(), strict=True):
+        middle = np.flatnonzero(np.abs(at - 0.5 * (at[a] + at[b])).max(axis=1) < 1e-6)
+        inner += len(middle)
+        assert np.allclose(light[middle], 0.5 * (light[a] + light[b]), rtol=1e-4, atol=1e-5)
+    assert inner > 10
     # Direct light at the vertices, against many points of the lamp.
     world = done.world
     inside = (place[:, :2] > 0.05).all(axis=1) & (place[:, :2] < 0.95).all(axis=1)
