@@ -89,7 +89,10 @@ class Elements:
             st[a] = first[(corner - roll_a[:, None]) % 3]
             st[b] = other[(corner - roll_b[:, None]) % 3]
         m = np.stack([st[:, 1] - st[:, 0], st[:, 2] - st[:, 0]], axis=2)
-        inverse = np.linalg.inv(m) if nt else m
+        # Two by two, with the adjugate: LAPACK, called for each of many small matrices, takes seconds.
+        determinant = m[:, 0, 0] * m[:, 1, 1] - m[:, 0, 1] * m[:, 1, 0]
+        adjugate = np.stack([m[:, 1, 1], -m[:, 0, 1], -m[:, 1, 0], m[:, 0, 0]], axis=1)
+        inverse = (adjugate / determinant[:, None]).reshape(nt, 2, 2)
         self._to_st = np.concatenate([m.reshape(nt, 4), st[:, 0]], axis=1).astype(np.float32)
         self._to_uv = np.concatenate([inverse.reshape(nt, 4), st[:, 0]], axis=1)
 
