@@ -22,7 +22,7 @@ from ..adjoint_gi.core import settings as base
 from ..adjoint_gi.core.bsdf import BsdfTable, frame
 from ..adjoint_gi.core.direct import direct_irradiance
 from ..adjoint_gi.core.emitters import Emitters
-from ..adjoint_gi.core.gathering import Run
+from ..adjoint_gi.core.gathering import Run, sliced
 from ..adjoint_gi.core.irradiance_records import RecordIndex, Records, gradients, hemisphere
 from ..adjoint_gi.core.parallel import in_order
 from ..adjoint_gi.core.radiance import Gathered, Walk, gather, lobes_of
@@ -34,6 +34,7 @@ from ..adjoint_gi.core.world import Surface, World
 
 BLOCK = 64  # records made together
 ROUND = 512  # records made before the cache is asked again
+PIECE = 1 << 13  # receiver points that ask it at once
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,7 @@ class _State:
 
     def cover(self, receivers: Receivers, stride: int, start: int, run: Run) -> Iterator[float]:
         """Make records until every `stride`-th receiver point has one; yields the share done."""
-        for points in receivers.sites():
+        for points in sliced(receivers.sites(), PIECE):
             at = np.flatnonzero(points.triangle >= 0)[start::stride]
             towards = None if points.towards is None else points.towards[at]
             surface = self.world.surface(points.triangle[at], points.u[at], points.v[at], towards)

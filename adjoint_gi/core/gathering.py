@@ -130,7 +130,7 @@ class Run:
             return first, last, many, self._evaluate(points, first, last, estimate, generator)
 
         yield from self._read_surfaces(before=True)
-        with closing(in_order(work, enumerate(_slices(self.receivers.sites(), batch)))) as results:
+        with closing(in_order(work, enumerate(sliced(self.receivers.sites(), batch)))) as results:
             for first, last, many, sums in results:
                 self._add(first, last, many, sums)
                 if self.clock.due():
@@ -222,7 +222,7 @@ class Run:
         )
 
 
-def _slices(chunks: Iterator[Points], batch: int) -> Iterator[Points]:
+def sliced(chunks: Iterator[Points], batch: int) -> Iterator[Points]:
     """The points of `chunks` in groups of at most `batch`."""
     for points in chunks:
         for a in range(0, len(points.receiver), batch):
