@@ -21,7 +21,7 @@ TAGS = {
     "macos-arm64": ("macosx", "_arm64"),
 }
 SHIPPED = {"adjoint_gi", "solvers", "operators", "panels", "wheels"}
-SHIPPED_FILES = {"__init__.py", "blender_manifest.toml", "LICENSE", "README.md", "SECURITY.md"}
+SHIPPED_FILES = {"__init__.py", "blender_manifest.toml", "LICENSE", "README.md", "CHANGELOG.md", "SECURITY.md"}
 
 
 def belongs(wheel: str, platform: str) -> bool:
