@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from adjgi.adjoint_gi.core import bsdf, microfacet
 from adjgi.adjoint_gi.core.builder import SceneBuilder
 from adjgi.adjoint_gi.core.scene import Color, Lobe, Material
