@@ -20,8 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core.adaptive import GROWTH, Subdivision, shoot_emitters
+from ..adjoint_gi.core.adaptive import GROWTH, Subdivision, importance, shoot_emitters
 from ..adjoint_gi.core.answer import ElementAnswer, elements_for
+from ..adjoint_gi.core.detectors import detector
 from ..adjoint_gi.core.element_mesh import element_mesh
 from ..adjoint_gi.core.element_nodes import ElementNodes
 from ..adjoint_gi.core.element_rays import ElementRays
@@ -85,6 +86,11 @@ class ProgressiveSettings(RadiositySettings):
         min=0.0,
         max=1e6,
         unit="distance",
+    )
+    important: str = setting(
+        "",
+        label="Important Objects",
+        help="Names, separated by commas: subdivision cuts first where light matters to these, by their potential. Empty: everywhere alike",
     )
     overshoot: bool = setting(
         False,
@@ -205,7 +211,12 @@ class _Run:
         for _ in shoot_emitters(start, rays, BATCH):
             yield self._step(0.0, "Light of emitting surfaces")
         limit = s.min_edge or self.base.max_edge / 8
-        division = Subdivision(self.base, self.emitters, s.light_samples, s.contrast, limit)
+        matters = None
+        if s.important:
+            yield self._step(0.0, "What matters to the important objects")
+            matters = importance(self.base, detector(self.base.world, "objects", s.important))
+            self.rays += 2 * self.base.count * 64
+        division = Subdivision(self.base, self.emitters, s.light_samples, s.contrast, limit, matters)
         for text in division.run(start.first):
             if division.elements is not self.elements:
                 self.elements = division.elements

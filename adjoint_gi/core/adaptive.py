@@ -9,11 +9,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from .detectors import Detector
+from .element_rays import ElementRays
 from .elements import Elements
 from .emitters import Emitters
 from .radiosity import LampLight
 from .refinement import RefinedElements, contrast, longest_edge, over_base
 from .schemes import Southwell
+from .transports import RayTransport
 
 GROWTH = 16  # there are at most so many times as many elements as before
 
@@ -24,11 +27,17 @@ class Subdivision:
     elements   the finest so far; rays cast; full: whether more would have been cut but for `GROWTH`
     """
 
-    def __init__(self, base: Elements, emitters: Emitters, samples: int, limit: float, min_edge: float) -> None:
-        """`limit`: contrast over which an element is cut; `min_edge`: metres, no edge is cut to less than this."""
+    def __init__(
+        self, base: Elements, emitters: Emitters, samples: int, limit: float, min_edge: float, importance: np.ndarray | None = None
+    ) -> None:
+        """`limit`: contrast over which an element is cut; `min_edge`: metres, no edge is cut to less than this.
+
+        `importance` (base.count,) 0 to 1: elements that matter less must have as much more contrast.
+        """
         self.base, self.elements = base, base
         self.emitters, self.samples = emitters, samples
         self.limit, self.min_edge = limit, min_edge
+        self.importance = importance
         self.rays = 0
         self.full = False
 
@@ -64,6 +73,9 @@ class Subdivision:
     def _choose(self, light: np.ndarray) -> np.ndarray:
         """(count,) bool: elements to cut, those of the highest contrast first where not all may be."""
         change = contrast(self.elements, light)
+        if self.importance is not None:
+            first = self.elements is self.base
+            change = change * (self.importance if first else self.importance[self.elements.root])
         split = (change > self.limit) & (longest_edge(self.elements) >= 2 * self.min_edge * (1 - 1e-6))
         room = max(0, GROWTH * self.base.count - self.elements.count) // 3
         if split.sum() > room:
@@ -79,6 +91,22 @@ class Subdivision:
         factor = np.where(mean > 0, seen / np.where(mean > 0, mean, 1), 1.0)
         # Rounding must not cost flux.
         return factor / np.maximum(over_base(self.elements, self.base, factor)[root], 1e-300)
+
+
+def importance(elements: Elements, detect: Detector, per_side: int = 64, reflections: int = 8) -> np.ndarray:
+    """(count,) float64 how much light on each element matters to receivers: its potential over the mean one, at most 1.
+
+    Relaxes W = g + T* W (review, Eq. 2) on a few rays from every element; elements of more than the mean potential count in full.
+    """
+    transport = RayTransport.cast(ElementRays(elements), per_side)
+    term = np.repeat(detect.on_elements(elements)[:, None], 3, axis=1)
+    total = term.copy()
+    for _ in range(reflections):
+        term = transport.adjoint(term)
+        total += term
+    potential = total.mean(axis=1).reshape(-1, 2).max(axis=1)
+    mean = float((elements.area * potential).sum() / elements.area.sum())
+    return np.minimum(1.0, potential / mean) if mean > 0 else np.ones(elements.count)
 
 
 def shoot_emitters(state: Southwell, rays: np.ndarray, batch: int) -> Iterator[None]:

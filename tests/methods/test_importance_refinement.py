@@ -1,0 +1,108 @@
+"""Subdivision driven by the potential never worsens the receivers' light and spends fewer elements (verification page, section 2.7)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core import adaptive, detectors
+from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.elements import Elements
+from adjgi.adjoint_gi.core.emitters import Emitters
+from adjgi.adjoint_gi.core.errors import SettingsError
+from adjgi.adjoint_gi.core.radiosity import LampLight
+from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.registry import method
+from adjgi.adjoint_gi.core.scene import Light
+from adjgi.adjoint_gi.core.world import World
+from adjgi.solvers import load
+from adjgi.tests import scenes
+
+load()
+
+
+def two_rooms():
+    """Two closed rooms, each with a small block under a lamp that throws a sharp shadow; no light passes between them."""
+    b = SceneBuilder()
+    for k, name in ((0.0, "Near"), (5.0, "Far")):
+        b.box(f"{name} room", (k, 0, 0), (k + 3, 3, 2), diffuse(f"{name} wall", 0.6), inward=True)
+        b.box(f"{name} block", (k + 1.2, 1.2, 0.6), (k + 1.8, 1.8, 0.7), diffuse(f"{name} block", 0.5), inward=False)
+        b.light(Light(f"{name} lamp", "point", (5.0, 5.0, 5.0), (k + 1.5, 1.5, 1.6)))
+    return World(b.build())
+
+
+def points_on(world, name, per_side=24):
+    """A grid of point receivers on the first quad of an object."""
+    obj = next(o for o in world.scene.objects if o.name == name)
+    g = (np.arange(per_side) + 0.5) / per_side
+    s, t = (a.ravel() for a in np.meshgrid(g, g))
+    first = s > t
+    triangle = np.where(first, obj.first_triangle, obj.first_triangle + 1)
+    u, v = np.where(first, s - t, s), np.where(first, t, t - s)
+    return SurfaceReceivers("texels", np.arange(len(s) + 1), triangle, u, v)
+
+
+def solve(world, receivers, **options):
+    solver = method("progressive_radiosity")
+    settings = solver.Settings(**{"max_edge": 0.75, "direct_light": "elements", "rays": 400_000, **options})
+    *_, last = solver.solve(world, receivers, settings, np.random.default_rng(0))
+    return last.solution()
+
+
+def elements_used(world, important=""):
+    """Elements after subdivision."""
+    base = Elements(world, 0.75)
+    weight = adaptive.importance(base, detectors.detector(world, "objects", important)) if important else None
+    emitters = Emitters(world)
+    look = LampLight(base, emitters, 16)
+    for _ in look.run():
+        pass
+    division = adaptive.Subdivision(base, emitters, 16, 0.25, 0.1, weight)
+    for _ in division.run(look.irradiance):
+        pass
+    return division.elements.count
+
+
+def named(world, elements, part):
+    """(count,) bool: elements of objects with `part` in their names."""
+    n = elements.count
+    triangle = elements.point(np.arange(n), np.full(n, 0.3), np.full(n, 0.3))[0]
+    names = np.array([part in o.name for o in world.scene.objects])
+    return names[world.scene.object[triangle]]
+
+
+def test_importance_is_high_where_the_receivers_light_comes_from():
+    world = two_rooms()
+    elements = Elements(world, 0.75)
+    weight = adaptive.importance(elements, detectors.detector(world, "objects", "Near room -z"))
+    assert weight[named(world, elements, "Near room")].min() > 0.2
+    assert (weight[named(world, elements, "Near room -z")] == 1).all()
+    assert not weight[named(world, elements, "Far")].any()
+
+
+def test_refinement_by_the_potential_never_worsens_the_receivers_light():
+    world = two_rooms()
+    receivers = points_on(world, "Near room -z")
+    tracer = method("path_tracing")
+    *_, last = tracer.solve(world, receivers, tracer.Settings(samples=512), np.random.default_rng(3))
+    truth = last.solution().quantity("irradiance").astype(float)
+
+    def error(**options):
+        got = solve(world, receivers, **options).quantity("irradiance").astype(float)
+        return np.sqrt(((got - truth) ** 2).mean()) / truth.mean(), abs(got.mean() / truth.mean() - 1)
+
+    plain, plain_mean = error()
+    driven, driven_mean = error(adaptive=True, min_edge=0.1, important="Near room -z")
+    everywhere, _ = error(adaptive=True, min_edge=0.1)
+    # <g, B> is no worse than without, point by point it is better, and as good as cutting everywhere.
+    # Cutting keeps the flux of every element, so the mean moves by what interpolation between smaller ones changes.
+    assert driven_mean <= plain_mean + 0.005
+    assert driven < 0.8 * plain
+    assert driven < 1.1 * everywhere
+    # The other room, which does not matter, is not cut.
+    assert elements_used(world, "Near room -z") < 0.65 * elements_used(world)
+
+
+def test_unknown_name_is_refused():
+    world = World(scenes.cornell(8, 8))
+    with pytest.raises(SettingsError, match="Nobody"):
+        solve(world, CameraReceivers(world), adaptive=True, important="Nobody")
