@@ -206,6 +206,9 @@ def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         if record.unshot:
             rows.append(("Not Yet Shot", text.watts(record.unshot)))
         rows.append(("Balance Gap", text.percent(record.gap)))
+    elif record.emitted:
+        # A gathering method follows no light from its source, so what becomes of it is not known.
+        rows.append(("Emitted", text.watts(record.emitted)))
     table(layout, rows)
     warnings = [i.notice() for i in record.notices if i.severity != "info"]
     if warnings:

@@ -69,6 +69,8 @@ def store(
         b = solution.balance
         record.has_balance = True
         record.emitted, record.absorbed, record.escaped, record.unshot, record.gap = b.emitted, b.absorbed, b.escaped, b.unshot, b.gap
+    else:
+        record.emitted = solution.emitted_flux
     name = solution.whole if target == "render" else quantity
     got = solution.weight > 0
     if got.any():

@@ -88,6 +88,7 @@ def of_solution(solution: Solution) -> dict[str, Any]:
         "rays": int(solution.rays),
         "rays_per_second": solution.rays / solution.seconds if solution.seconds else 0.0,
         "energy_balance": balance,
+        "emitted_flux": solution.balance.emitted if solution.balance is not None else solution.emitted_flux,
         "measure": solution.measure,
         "mean": means,
         "unit": UNITS[solution.measure],

@@ -214,6 +214,7 @@ class Run:
             rays=self.rays,
             seconds=self.clock.seconds,
             balance=self.balance,
+            emitted_flux=float(self.emitters.power.sum()),
             history=tuple(self.history),
             warnings=self.warnings,
             settings=self.settings.as_dict(),

@@ -55,6 +55,7 @@ class Solution:
     rays: int = 0
     seconds: float = 0.0
     balance: EnergyBalance | None = None
+    emitted_flux: float = 0.0  # of lamps and surfaces, W, channels summed; told by gathering methods, which have no balance
     history: tuple[tuple[float, float], ...] = ()  # (seconds, residual or relative standard error)
     warnings: tuple[Notice, ...] = ()
     settings: dict[str, Any] = field(default_factory=dict)
