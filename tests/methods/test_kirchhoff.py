@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.core import bsdf, radiance
 from adjgi.adjoint_gi.core.builder import SceneBuilder
+from adjgi.adjoint_gi.core.emission import Particles
 from adjgi.adjoint_gi.core.emitters import Emitters
 from adjgi.adjoint_gi.core.scene import Color, Lobe, Material
+from adjgi.adjoint_gi.core.walks import walk
 from adjgi.adjoint_gi.core.world import World
 from adjgi.solvers import load
 from adjgi.solvers.distribution import DistributionSettings, Rows, Tracer
@@ -98,10 +100,10 @@ def check(total):
 @pytest.mark.parametrize("name", WALLS)
 def test_walks_find_radiance_one(name):
     world, table, emission = cavity(WALLS[name])
-    walk = radiance.Walk(world, Emitters(world), table, 0, 200, roulette=8, lights=False, emission=emission)
+    paths = radiance.Walk(world, Emitters(world), table, 0, 200, roulette=8, lights=False, emission=emission)
     rng = np.random.default_rng(1)
     surface, wo = start(world, 40_000, rng)
-    found = radiance.gather(walk, surface, radiance.lobes_of(walk, surface, wo), rng)
+    found = radiance.gather(paths, surface, radiance.lobes_of(paths, surface, wo), rng)
     own = emission(surface.triangle, surface.u, surface.v, wo)
     check((own + found.direct + found.indirect).astype(float))
 
@@ -120,3 +122,33 @@ def test_distributed_rays_find_radiance_one():
     found = tracer.trace(surface, radiance.lobes_of(tracer.walk, surface, wo), rows, 1, rng)
     own = emission(surface.triangle, surface.u, surface.v, wo)
     check((own + found.direct + found.indirect).astype(float))
+
+
+@pytest.mark.parametrize("name", WALLS)
+def test_particles_bring_the_irradiance_of_radiance_one(name):
+    """T8 by shooting: particles that leave the walls as 1 - a(theta) bring the irradiance pi to every wall."""
+    world, table, emission = cavity(WALLS[name])
+    rng = np.random.default_rng(3)
+    n = 60_000
+    # Points uniform on the walls, directions by the cosine: each stands for an equal share of pi times area, times what is emitted there.
+    triangle = rng.choice(world.triangle_count, n, p=world.area / world.area.sum()).astype(np.int32)
+    a, b = rng.random((2, n))
+    s = np.sqrt(a)
+    surface = world.surface(triangle, (1 - s).astype(np.float32), (b * s).astype(np.float32))
+    x, y = bsdf.frame(surface.ng)
+    r, phi = np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
+    z = np.sqrt(1 - r * r)
+    direction = ((r * np.cos(phi))[:, None] * x + (r * np.sin(phi))[:, None] * y + z[:, None] * surface.ng).astype(np.float32)
+    weight = emission(triangle, surface.u, surface.v, direction) * np.float32(np.pi * world.area.sum() / n)
+    particles = Particles(world.leave(surface), direction, weight, np.zeros(n, np.int32), np.zeros(n, np.float32))
+    arrived = np.zeros((world.triangle_count, 3))
+
+    def visit(hits):
+        for c in range(3):
+            arrived[:, c] += np.bincount(hits.surface.triangle, hits.arriving[:, c], world.triangle_count)
+
+    walk(world, particles, 200, rng, visit, table)
+    # Two triangles a wall; the standard error of a wall's flux is about 1 %, of all walls together 0.4 %.
+    walls = arrived.reshape(6, 2, 3).sum(axis=1)
+    assert np.abs(walls / np.pi - 1).max() < 0.06
+    assert np.abs(walls.mean(axis=0) / np.pi - 1).max() < 0.015
