@@ -6,7 +6,6 @@ second at most. It writes nothing into the scene before its end, and then its ta
 from __future__ import annotations
 
 import atexit
-import contextlib
 from collections.abc import Callable
 
 import bpy
@@ -180,17 +179,14 @@ HANDLERS = (("load_pre", _before_load), ("undo_post", _after_undo), ("redo_post"
 
 def register() -> None:
     """Listen to file loads and undo, and make sure that quitting ends the thread."""
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).append(handler)
+    jobs.listen(HANDLERS)
     atexit.register(_at_exit)
 
 
 def unregister() -> None:
     """End the job, its timer and the handlers; doing it twice changes nothing."""
     forget()
-    for name, handler in HANDLERS:
-        with contextlib.suppress(ValueError):
-            getattr(bpy.app.handlers, name).remove(handler)
+    jobs.stop_listening(HANDLERS)
     atexit.unregister(_at_exit)
 
 

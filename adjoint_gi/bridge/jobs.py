@@ -10,7 +10,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 import bpy
@@ -301,22 +301,32 @@ def _after_undo(*_: object) -> None:
         _job.stop(wait=0)  # written by the next tick: inside an undo nothing may be written
 
 
+def listen(handlers: Iterable[tuple[str, Callable]]) -> None:
+    """Add functions to the lists of `bpy.app.handlers` that are named with them."""
+    for name, handler in handlers:
+        getattr(bpy.app.handlers, name).append(handler)
+
+
+def stop_listening(handlers: Iterable[tuple[str, Callable]]) -> None:
+    """Take them out again; doing it twice changes nothing."""
+    for name, handler in handlers:
+        with contextlib.suppress(ValueError):
+            getattr(bpy.app.handlers, name).remove(handler)
+
+
 HANDLERS = (("load_pre", _before_load), ("undo_post", _after_undo), ("redo_post", _after_undo))
 
 
 def register() -> None:
     """Listen to file loads and undo, and make sure that quitting ends the thread."""
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).append(handler)
+    listen(HANDLERS)
     atexit.register(_at_exit)
 
 
 def unregister() -> None:
     """End the job, its timer and the handlers; doing it twice changes nothing."""
     forget()
-    for name, handler in HANDLERS:
-        with contextlib.suppress(ValueError):
-            getattr(bpy.app.handlers, name).remove(handler)
+    stop_listening(HANDLERS)
     atexit.unregister(_at_exit)
 
 
