@@ -143,6 +143,18 @@ class ADJOINTGI_OT_write(bpy.types.Operator):
         return {"CANCELLED"} if job.notices else {"FINISHED"}
 
 
+class ADJOINTGI_OT_undo_step(bpy.types.Operator):
+    """Make an undo step of what a bake has written"""
+
+    bl_idname = "adjoint_gi.undo_step"
+    bl_label = "Adjoint GI"
+    bl_options = {"INTERNAL", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Nothing: Blender makes the step after it."""
+        return {"FINISHED"}
+
+
 class ADJOINTGI_OT_check(bpy.types.Operator):
     """Look for what would keep the bake from working"""
 
@@ -161,4 +173,4 @@ class ADJOINTGI_OT_check(bpy.types.Operator):
         return {"FINISHED"}
 
 
-classes = (ADJOINTGI_OT_bake, ADJOINTGI_OT_stop, ADJOINTGI_OT_resume, ADJOINTGI_OT_write, ADJOINTGI_OT_check)
+classes = (ADJOINTGI_OT_bake, ADJOINTGI_OT_stop, ADJOINTGI_OT_resume, ADJOINTGI_OT_write, ADJOINTGI_OT_undo_step, ADJOINTGI_OT_check)

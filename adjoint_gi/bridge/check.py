@@ -69,19 +69,16 @@ def cached(scene: bpy.types.Scene) -> tuple[Notice, ...] | None:
 
 
 def refresh() -> None:
-    """Look in the scene of the first window, unless nothing has changed since the last look, and redraw if the answer is another."""
-    manager = bpy.context.window_manager
-    window = bpy.context.window or next(iter(manager.windows if manager else ()), None)
-    started = time.monotonic()
-    with bpy.context.temp_override(window=window) if window else contextlib.nullcontext():
-        context = bpy.context
-        request, scene = _request(context), context.scene.session_uid
-        _Cache.next_time = started + INTERVAL
-        if (request, scene) == (_Cache.request, _Cache.scene) and not _Cache.dirty:
-            return
-        # Reading the whole scene takes long in big scenes, so it is done less often than what can be told at once.
-        full = started >= _Cache.full_time
-        found = _check(context, request, full)
+    """Look in the present scene, unless nothing has changed since the last look, and redraw if the answer is another."""
+    # As it is in a timer: `temp_override` with a window and threads at work would crash Blender, see `jobs.push_undo`.
+    context, started = bpy.context, time.monotonic()
+    request, scene = _request(context), context.scene.session_uid
+    _Cache.next_time = started + INTERVAL
+    if (request, scene) == (_Cache.request, _Cache.scene) and not _Cache.dirty:
+        return
+    # Reading the whole scene takes long in big scenes, so it is done less often than what can be told at once.
+    full = started >= _Cache.full_time
+    found = _check(context, request, full)
     if full:
         ended = time.monotonic()
         _Cache.full_time = ended + (ended - started) / SHARE

@@ -121,11 +121,7 @@ def _new(context: bpy.types.Context, request: CompareRequest, folder: str) -> Co
 
 
 def stop(wait: float = STOP) -> None:
-    """Stop the running comparison and keep what it has; the next tick writes it.
-
-    Not at once: this runs inside an operator, and the undo step that comes with what is written is none of its own (a push of it
-    from there has crashed Blender 4.2 once).
-    """
+    """Stop the running comparison and keep what it has; the next tick writes it."""
     job = _job
     if job is not None and job.state == "running":
         job.state = "stopping"

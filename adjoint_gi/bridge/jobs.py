@@ -257,12 +257,15 @@ def redraw() -> None:
 
 
 def push_undo(message: str) -> None:
-    """One undo step for what was just written; a timer has no window of its own, so the first one serves."""
-    manager = bpy.context.window_manager
-    window = bpy.context.window or next(iter(manager.windows if manager else ()), None)
-    with bpy.context.temp_override(window=window) if window else contextlib.nullcontext():
-        if bpy.ops.ed.undo_push.poll():
-            bpy.ops.ed.undo_push(message=message)
+    """One undo step for what was just written.
+
+    Without a window (Blender's undo operator wants one), an operator of ours that does nothing has the step made. Never inside
+    `temp_override`: up to Blender 5.0 C code reads its dictionary without Python's lock while threads run, and crashes.
+    """
+    if bpy.ops.ed.undo_push.poll():
+        bpy.ops.ed.undo_push(message=message)
+    else:
+        bpy.ops.adjoint_gi.undo_step("EXEC_DEFAULT", True)
 
 
 def _made() -> tuple[int, ...]:

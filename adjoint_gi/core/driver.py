@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from .errors import AdjointError
+from .parallel import settle
 from .receivers import Receivers
 from .registry import Solver
 from .resources import require_memory
@@ -197,6 +198,7 @@ class Driver:
                     self._stop.set()
         if self._step is not None:
             self._keep()
+        settle()
         return "stopped"
 
     def _keep(self) -> None:

@@ -5,11 +5,19 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+
+_under_way: set[Future] = set()  # what the threads of all `in_order` still compute
+
+
+def settle() -> None:
+    """Wait until what is under way at this moment has been computed, so that a stopped solve runs no Python any more."""
+    wait(tuple(_under_way))
 
 
 def thread_count() -> int:
@@ -32,7 +40,10 @@ def in_order(function: Callable[[Item], Result], items: Iterable[Item], threads:
         waiting: deque = deque()
         try:
             for item in items:
-                waiting.append(pool.submit(function, item))
+                future = pool.submit(function, item)
+                _under_way.add(future)
+                future.add_done_callback(_under_way.discard)
+                waiting.append(future)
                 if len(waiting) >= 2 * threads:
                     yield waiting.popleft().result()
             while waiting:

@@ -315,3 +315,36 @@ def test_kept_files_have_their_own_names(scene, tmp_path, monkeypatch):
     solution = job.bake.written[0]
     paths = {jobs.kept.save(solution) for _ in range(3)}
     assert len(paths) == 3 and all(Path(p).is_file() for p in paths)
+
+
+def test_undo_steps_are_safe_while_threads_compute(scene):
+    """Inside `temp_override` this crashes Blender 4.2 and 5.0 within a second or two."""
+    end = threading.Event()
+
+    def busy():
+        while not end.is_set():
+            {str(i): i for i in range(300)}
+            time.sleep(0)
+
+    threads = [threading.Thread(target=busy) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    try:
+        for _ in range(1000):
+            jobs.push_undo("Adjoint GI Test")
+    finally:
+        end.set()
+        for thread in threads:
+            thread.join()
+
+
+def test_an_undo_step_is_made_without_a_window_too(scene):
+    names = lambda: {o.name for o in bpy.data.objects}  # noqa: E731
+    before = names()
+    with bpy.context.temp_override(window=None):
+        assert not bpy.ops.ed.undo_push.poll()
+        for name in ("First", "Second"):
+            bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, None))
+            jobs.push_undo("Adjoint GI Test")
+    bpy.ops.ed.undo()
+    assert names() == before | {"First"}
