@@ -115,8 +115,8 @@ class DirectionalRadiosity(Solver):
         """Rays both ways, fields of element sides times bins, scattering matrices, receivers."""
         own = getattr(receivers, "elements", None)
         count = own.count if own is not None else Elements.planned(world, settings.max_edge, TARGET)
-        lobes = {(x.kind, x.roughness, x.ior) for m in world.scene.materials for x in m.lobes if x.kind in bsdf.KINDS}
-        parts = sum(2 if kind == "metallic" else 1 for kind, _, _ in lobes)
+        lobes = {(x.kind, x.roughness, x.ior, x.multiscatter) for m in world.scene.materials for x in m.lobes if x.kind in bsdf.KINDS}
+        parts = sum((2 if kind == "metallic" else 1) * (2 if multiscatter else 1) for kind, _, _, multiscatter in lobes)
         bins = settings.bin_rows * settings.bin_columns
         return bytes_needed(2 * count, bins, settings.rays, parts) + 600 * count + 1200 * receivers.count
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -83,9 +84,8 @@ class Materials:
             color = Color.of(*clamped)
         else:
             color = self._safe_textured(color, top, word)
-        return Lobe(
-            lobe.kind, color, lobe.roughness if math.isfinite(lobe.roughness) else 1.0, lobe.ior if math.isfinite(lobe.ior) else 1.45
-        )
+        roughness, ior = lobe.roughness if math.isfinite(lobe.roughness) else 1.0, lobe.ior if math.isfinite(lobe.ior) else 1.45
+        return replace(lobe, color=color, roughness=roughness, ior=ior)
 
     def _safe_textured(self, color: Color, top: float, word: str) -> Color:
         """Textured colours: no infinite constants, and single images that leave the range are clamped."""
@@ -117,18 +117,18 @@ class Materials:
         self._tell(
             f"reflects and passes {worst:.3g} times what it receives; it is scaled down to 1", "Use Mix Shader instead of Add Shader"
         )
-        out = [x if x.kind in ("emission", "specular") else Lobe(x.kind, x.color * (1.0 / worst), x.roughness, x.ior) for x in lobes]
+        out = [x if x.kind in ("emission", "specular") else replace(x, color=x.color * (1.0 / worst)) for x in lobes]
         return tuple(lobe for lobe in out if not lobe.color.is_black)
 
 
 def _merged(lobes: list[Lobe]) -> list[Lobe]:
-    """One lobe for all of the same kind, roughness and index: constants add up, and clamping sees their sum."""
-    sums: dict[tuple[str, float, float], Color] = {}
+    """One lobe for all of the same kind, roughness, index and distribution: constants add up, and clamping sees their sum."""
+    sums: dict[tuple[str, float, float, bool], Color] = {}
     for lobe in lobes:
         plain = lobe.kind in ("diffuse", "emission", "transparent")
-        key = (lobe.kind, 1.0 if plain else lobe.roughness, 1.45 if plain else lobe.ior)
+        key = (lobe.kind, 1.0 if plain else lobe.roughness, 1.45 if plain else lobe.ior, lobe.multiscatter)
         sums[key] = sums.get(key, Color()) + lobe.color
-    return [Lobe(kind, color, roughness, ior) for (kind, roughness, ior), color in sums.items()]
+    return [Lobe(kind, color, roughness, ior, many) for (kind, roughness, ior, many), color in sums.items()]
 
 
 def _clamp(x: float, top: float) -> float:

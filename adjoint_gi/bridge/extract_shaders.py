@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import bpy
 
@@ -79,7 +80,7 @@ class Shaders:
         return [Lobe("emission", self._times(color, weight))]
 
     def _principled(self, node: bpy.types.Node, place: Place, weight: Color) -> list[Lobe]:
-        return [Lobe(x.kind, self._times(x.color, weight), x.roughness, x.ior) for x in principled_lobes(self.colors, place)]
+        return [replace(x, color=self._times(x.color, weight)) for x in principled_lobes(self.colors, place)]
 
     def _diffuse(self, node: bpy.types.Node, place: Place, weight: Color) -> list[Lobe]:
         """Diffuse BSDF; its roughness (Oren-Nayar) is not computed."""
@@ -104,8 +105,11 @@ class Shaders:
         if "Anisotropy" in sockets and self.colors.number(sockets["Anisotropy"], "anisotropy") != 0.0:
             self.colors.skip(place, "is anisotropic", "it is computed as isotropic", "Set its anisotropy to 0")
         self._normal(place, sockets)
+        if node.distribution in ("BECKMANN", "ASHIKHMIN_SHIRLEY") and roughness > 0.0:
+            self.colors.skip(place, f"has the distribution {node.distribution}", "it is computed as GGX", "Choose GGX")
         color = self.colors.color(sockets["Color"] if "Color" in sockets else sockets["Base Color"])
-        return [Lobe(kind, self._times(color, weight), min(max(roughness, 0.0), 1.0), max(ior, 1e-3))]
+        many = node.distribution == "MULTI_GGX"
+        return [Lobe(kind, self._times(color, weight), min(max(roughness, 0.0), 1.0), max(ior, 1e-3), many)]
 
     def _transparent(self, node: bpy.types.Node, place: Place, weight: Color) -> list[Lobe]:
         return [Lobe("transparent", self._times(self.colors.color(inputs(place)["Color"]), weight))]

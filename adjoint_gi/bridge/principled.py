@@ -47,6 +47,8 @@ def principled_lobes(colors: Colors, place: Place) -> list[Lobe]:
     level = number("Specular IOR Level", 0.5)
     dielectric = alpha * metallic.complement() * transmission.complement()
 
+    many = place.socket.node.distribution == "MULTI_GGX"
+
     # Step 1: what passes through and what is emitted. The default emission strength is 0, its default colour is not.
     lobes = [Lobe("transparent", alpha.complement())]
     strength = colors.value(sockets["Emission Strength"]) if "Emission Strength" in sockets else Color.of(0.0)
@@ -55,10 +57,10 @@ def principled_lobes(colors: Colors, place: Place) -> list[Lobe]:
 
     # Step 2: what is reflected.
     lobes.append(Lobe("diffuse", base * dielectric))
-    lobes.append(Lobe("metallic", base * metallic * alpha, roughness))
+    lobes.append(Lobe("metallic", base * metallic * alpha, roughness, multiscatter=many))
     glass = alpha * metallic.complement() * transmission
     if not glass.is_black:
-        lobes.append(Lobe("glass", _root(colors, place, base) * glass, roughness, ior))
+        lobes.append(Lobe("glass", _root(colors, place, base) * glass, roughness, ior, many))
     adjusted = _adjusted_ior(ior, level)
     if adjusted != 1.0:
         tint = colors.color(sockets["Specular Tint"]) if "Specular Tint" in sockets else Color.of(1.0)

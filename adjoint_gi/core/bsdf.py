@@ -4,7 +4,7 @@ Three functions, as in Nori and pbrt: `evaluate` (f times cosine, and pdf_w), `s
 Radiance is carried as basic radiance (divided by the index squared), so one set of formulas serves gathering and shooting:
 T and T* differ only in which of the two directions is given.
 
-Limits: roughness and index are constant over a material; GGX loses the energy of multiple scattering between microfacets.
+Limits: roughness and index are constant over a material; a coat loses what bounces more than once between its microfacets.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import microfacet as mf
-from .scene import Color, SceneArrays
+from .multiscatter import Gains
+from .scene import Color, Lobe, SceneArrays
 from .shading import ColorField
 
 GLOSSY, METALLIC, SPECULAR, GLASS, REFRACTION, TRANSPARENT = range(1, 7)
@@ -34,12 +35,18 @@ MU = 32  # entries of the coat's albedo over the cosine
 
 @dataclass(frozen=True, eq=False)
 class Slot:
-    """One non-diffuse lobe at n points: kind (n,) int8 (0 where there is none), color (n, 3), alpha (n,), ior (n,)."""
+    """One non-diffuse lobe at n points: kind (n,) int8 (0 where there is none), color (n, 3), alpha (n,), ior (n,), and gain (n,)
+    int32, the row of `BsdfTable.gains` for light that bounces more than once between microfacets, 0 where it is lost."""
 
     kind: np.ndarray
     color: np.ndarray
     alpha: np.ndarray
     ior: np.ndarray
+    gain: np.ndarray
+
+    def take(self, which: np.ndarray) -> Slot:
+        """The same at a subset of the points."""
+        return Slot(self.kind[which], self.color[which], self.alpha[which], self.ior[which], self.gain[which])
 
     @property
     def delta(self) -> np.ndarray:
@@ -68,7 +75,7 @@ class Lobes:
 
     def take(self, which: np.ndarray) -> Lobes:
         """The same at a subset of the points."""
-        slots = tuple(Slot(s.kind[which], s.color[which], s.alpha[which], s.ior[which]) for s in self.slots)
+        slots = tuple(s.take(which) for s in self.slots)
         parts = (self.wo, self.local, self.x, self.y, self.z, self.diffuse)
         return Lobes(*(a[which] for a in parts), slots, self.entering[which], self.material[which], self.table)
 
@@ -98,19 +105,27 @@ class BsdfTable:
         self.count = max((len(o) for o in others), default=0)
         self._diffuse = ColorField([m.total("diffuse") for m in mats], scene)
         self._slots = []
+        self.gains = Gains()
 
         for i in range(self.count):
             lobes = [o[i] if i < len(o) else None for o in others]
             kind = np.array([KINDS[x.kind] if x else 0 for x in lobes], np.int8)
             rough = np.array([x.roughness if x else 1.0 for x in lobes], np.float32)
             ior = np.array([x.ior if x else 1.0 for x in lobes], np.float32)
-            self._slots.append((kind, rough**2, ior, ColorField([x.color if x else Color() for x in lobes], scene)))
+            color = ColorField([x.color if x else Color() for x in lobes], scene)
+            self._slots.append((kind, rough**2, ior, np.array([self._gain(x) for x in lobes], np.int32), color))
         self.coat, self.coat_mean = self._coats(others)
 
     @property
     def only_diffuse(self) -> bool:
         """Whether no material has any other lobe."""
         return self.count == 0
+
+    def _gain(self, lobe: Lobe | None) -> int:
+        """Row of `gains` for a lobe."""
+        if lobe is None or not lobe.multiscatter or lobe.kind not in ("glossy", "metallic", "glass"):
+            return 0
+        return self.gains.row(lobe.roughness, lobe.ior if lobe.kind == "glass" else None)
 
     def _coats(self, others: list) -> tuple[np.ndarray, np.ndarray]:
         """Albedo of each material's dielectric coat over the cosine, (nm, MU), and its cosine-weighted mean (nm,)."""
@@ -136,7 +151,7 @@ class BsdfTable:
     def at(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, ns: np.ndarray, side: np.ndarray, wo: np.ndarray) -> Lobes:
         """Lobes at barycentrics of triangles with shading normals `ns` on the side of `wo`; `side` is +1 outside, -1 inside."""
         material = self._material[triangle]
-        slots = tuple(Slot(k[material], c.at(triangle, u, v), a[material], i[material]) for k, a, i, c in self._slots)
+        slots = tuple(Slot(k[material], c.at(triangle, u, v), a[material], i[material], g[material]) for k, a, i, g, c in self._slots)
         x, y = frame(ns)
         local = np.stack([mf.dot(wo, x), mf.dot(wo, y), np.maximum(mf.dot(wo, ns), np.float32(1e-4))], axis=1)
         local /= np.sqrt(mf.dot(local, local))[:, None]
@@ -219,11 +234,24 @@ def evaluate(lobes: Lobes, wi: np.ndarray, p: np.ndarray | None = None) -> tuple
     for i, slot in enumerate(lobes.slots):
         which = np.flatnonzero((slot.kind > 0) & ~slot.delta)
         if len(which):
-            part = Slot(slot.kind[which], slot.color[which], slot.alpha[which], slot.ior[which])
+            part = slot.take(which)
             f, q = _evaluate_slot(lobes.local[which], w[which], part, relative_ior(lobes, slot)[which])
+            if part.gain.any():
+                f *= _multiple(lobes.table.gains, part, ~lobes.entering[which], lobes.local[which], w[which])
             value[which] += f
             pdf[which] += p[i + 1, which] * q
     return value.astype(np.float32), pdf.astype(np.float32)
+
+
+def mean_reflectance(kind: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """(n, 3) what facets reflect and pass in the mean over all angles: of Schlick's reflectance the mean is f0 + (1 - f0) / 21."""
+    return np.where((kind == METALLIC)[:, None], color + (1 - color) / 21, color)
+
+
+def _multiple(gains: Gains, slot: Slot, inside: np.ndarray, wo: np.ndarray, wi: np.ndarray) -> np.ndarray:
+    """(n, 3) factor on single scattering that gives back what bounces again between microfacets."""
+    kept = gains.kept(slot.gain, mean_reflectance(slot.kind, slot.color))
+    return 1 + kept * gains.excess(slot.gain, inside, wo, wi)[:, None]
 
 
 def _evaluate_slot(wo: np.ndarray, wi: np.ndarray, slot: Slot, eta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -233,7 +261,7 @@ def _evaluate_slot(wo: np.ndarray, wi: np.ndarray, slot: Slot, eta: np.ndarray) 
     above = np.flatnonzero((wi[:, 2] > 0) & (slot.kind != REFRACTION))
     if len(above):
         o, i, a, e = wo[above], wi[above], slot.alpha[above], eta[above]
-        part = Slot(slot.kind[above], slot.color[above], a, slot.ior[above])
+        part = slot.take(above)
         h = o + i
         h /= np.maximum(np.sqrt(mf.dot(h, h)), mf.TINY)[:, None]
         c = mf.dot(o, h)
@@ -292,7 +320,7 @@ def sample(lobes: Lobes, rng: np.random.Generator, uniform: np.ndarray | None = 
         which = np.flatnonzero((pick == i + 1) & (slot.kind > 0))
         if not len(which):
             continue
-        part = Slot(slot.kind[which], slot.color[which], slot.alpha[which], slot.ior[which])
+        part = slot.take(which)
         d = part.delta
         eta = relative_ior(lobes, slot)[which]
         o = lobes.local[which]

@@ -97,37 +97,3 @@ def refract(w: np.ndarray, h: np.ndarray, eta: np.ndarray) -> tuple[np.ndarray, 
     total = c2 <= 0
     t = (inv * c - np.sqrt(np.maximum(c2, 0)))[:, None] * h - inv[:, None] * w
     return t.astype(np.float32), total
-
-
-def _albedo_table(size: int = 32) -> np.ndarray:
-    """(size, size) float32 directional albedo of a white GGX reflector over cos(theta) and roughness, by quadrature of VNDF samples."""
-    mu = ((np.arange(size) + 0.5) / size).astype(np.float32)
-    rough = ((np.arange(size) + 0.5) / size).astype(np.float32)
-    grid = 24
-    a, b = np.meshgrid((np.arange(grid) + 0.5) / grid, (np.arange(grid) + 0.5) / grid)
-    r1, r2 = a.ravel().astype(np.float32), b.ravel().astype(np.float32)
-    m = np.repeat(np.tile(mu, size), len(r1))
-    alpha = np.repeat(np.repeat(rough, size), len(r1)) ** 2
-    wo = np.stack([np.sqrt(1 - m * m), np.zeros_like(m), m], axis=1)
-    h = visible_normal(wo, alpha, np.tile(r1, size * size), np.tile(r2, size * size))
-    wi = reflect(wo, h)
-    value = np.where(wi[:, 2] > 0, masking(wo, wi, alpha) * (1 + smith_lambda(wo, alpha)), 0)
-    return value.reshape(size, size, -1).mean(axis=2).astype(np.float32)
-
-
-_TABLE: list[np.ndarray] = []
-
-
-def albedo(cos_theta: np.ndarray, roughness: np.ndarray) -> np.ndarray:
-    """(n,) directional albedo of a white GGX reflector (single scattering), from a table made on first use."""
-    if not _TABLE:
-        _TABLE.append(_albedo_table())
-    table = _TABLE[0]
-    size = len(table)
-    x = np.clip(np.abs(cos_theta) * size - 0.5, 0, size - 1)
-    y = np.clip(roughness * size - 0.5, 0, size - 1)
-    i, j = np.minimum(x.astype(int), size - 2), np.minimum(y.astype(int), size - 2)
-    fx, fy = x - i, y - j
-    low = table[j, i] * (1 - fx) + table[j, i + 1] * fx
-    high = table[j + 1, i] * (1 - fx) + table[j + 1, i + 1] * fx
-    return (low * (1 - fy) + high * fy).astype(np.float32)

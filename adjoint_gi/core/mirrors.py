@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,12 +34,12 @@ def branches(lobes: bsdf.Lobes, mirror: tuple[np.ndarray, ...]) -> Iterator[Bran
     for slot, which in zip(lobes.slots, mirror, strict=True):
         rows = np.flatnonzero(which & np.isin(slot.kind, REFLECTING))
         if len(rows):
-            o, part, eta = lobes.local[rows], _part(slot, rows), bsdf.relative_ior(lobes, slot)[rows]
+            o, part, eta = lobes.local[rows], slot.take(rows), bsdf.relative_ior(lobes, slot)[rows]
             w = o * np.array([-1, -1, 1], np.float32)
             yield Branch(rows, lobes.take(rows).to_world(w), bsdf.reflectance(part.kind, part, o[:, 2], eta), False)
         rows = np.flatnonzero(which & np.isin(slot.kind, CLEAR))
         if len(rows):
-            o, part, eta = lobes.local[rows], _part(slot, rows), bsdf.relative_ior(lobes, slot)[rows]
+            o, part, eta = lobes.local[rows], slot.take(rows), bsdf.relative_ior(lobes, slot)[rows]
             h = np.zeros_like(o)
             h[:, 2] = 1
             w, total = mf.refract(o, h, eta)
@@ -53,12 +53,8 @@ def branches(lobes: bsdf.Lobes, mirror: tuple[np.ndarray, ...]) -> Iterator[Bran
             yield Branch(rows, wi, part.color * passed[:, None], True)
 
 
-def _part(slot: bsdf.Slot, rows: np.ndarray) -> bsdf.Slot:
-    return bsdf.Slot(slot.kind[rows], slot.color[rows], slot.alpha[rows], slot.ior[rows])
-
-
 def without(lobes: bsdf.Lobes, gone: tuple[np.ndarray, ...]) -> bsdf.Lobes:
     """The same lobes, the slots taken out where `gone` (one (n,) bool for each slot) says so; a coat still dims what lies below it."""
-    slots = tuple(bsdf.Slot(np.where(g, np.int8(0), s.kind), s.color, s.alpha, s.ior) for s, g in zip(lobes.slots, gone, strict=True))
+    slots = tuple(replace(s, kind=np.where(g, np.int8(0), s.kind)) for s, g in zip(lobes.slots, gone, strict=True))
     parts = (lobes.wo, lobes.local, lobes.x, lobes.y, lobes.z, lobes.diffuse)
     return bsdf.Lobes(*parts, slots, lobes.entering, lobes.material, lobes.table)

@@ -8,7 +8,7 @@ event) and by the rays of the BSDF, joined by multiple importance sampling (Veac
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -233,7 +233,7 @@ def take(surface: Surface, which: np.ndarray) -> Surface:
 def white(walk: Walk, surface: Surface) -> bsdf.Lobes:
     """Lobes of a white diffuse surface: what an irradiance receiver gathers is pi times the radiance these send."""
     lobes = lobes_of(walk, surface, surface.ns)
-    slots = tuple(bsdf.Slot(np.zeros_like(s.kind), s.color, s.alpha, s.ior) for s in lobes.slots)
+    slots = tuple(replace(s, kind=np.zeros_like(s.kind)) for s in lobes.slots)
     no_coat = np.full_like(lobes.material, -1)
     return bsdf.Lobes(
         lobes.wo, lobes.local, lobes.x, lobes.y, lobes.z, np.ones_like(lobes.diffuse), slots, lobes.entering, no_coat, lobes.table

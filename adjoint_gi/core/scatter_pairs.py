@@ -12,6 +12,7 @@ import numpy as np
 
 from . import bsdf
 from . import microfacet as mf
+from .multiscatter import Gains
 
 PAIRS = 1 << 15
 CLEAR = (bsdf.GLASS, bsdf.REFRACTION)
@@ -31,6 +32,16 @@ class Pairs:
     through: np.ndarray
     weight: np.ndarray
 
+    def times(self, factor: np.ndarray) -> Pairs:
+        """The same pairs with their weights times `factor` (n,)."""
+        return Pairs(self.given, self.other, self.through, self.weight * factor)
+
+    def excess(self, gains: Gains, row: int, inside: bool) -> np.ndarray:
+        """(n,) what comes on top of single scattering, for white facets; `inside`: the given directions lie on the inside."""
+        n = len(self.given)
+        other = self.other * np.where(self.through, -1, 1)[:, None]
+        return gains.excess(np.full(n, row), np.full(n, inside), self.given, other)
+
 
 def given_directions(count: int) -> tuple[np.ndarray, np.ndarray]:
     """`count` directions (n, 3) float32 by the cosine, and three more numbers in 0..1 for each, (3, n) float32."""
@@ -42,11 +53,12 @@ def given_directions(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def pairs(kind: int, alpha: float, ior: float, front: bool, table: bsdf.BsdfTable, count: int = PAIRS) -> Pairs:
-    """The pairs of a white lobe (a kind of `bsdf.KINDS`) seen from the outside, or from the back."""
+    """The pairs of a white lobe (a kind of `bsdf.KINDS`) of single scattering, seen from the outside, or from the back."""
     given, u = given_directions(count)
     n = len(given)
     axes = (np.broadcast_to(np.eye(3, dtype=np.float32)[i], (n, 3)) for i in range(3))
-    slot = bsdf.Slot(np.full(n, kind, np.int8), np.ones((n, 3), np.float32), np.full(n, alpha, np.float32), np.full(n, ior, np.float32))
+    white = np.ones((n, 3), np.float32)
+    slot = bsdf.Slot(np.full(n, kind, np.int8), white, *(np.full(n, x, np.float32) for x in (alpha, ior)), np.zeros(n, np.int32))
     black, no_coat = np.zeros((n, 3), np.float32), np.full(n, -1, np.int32)
     lobes = bsdf.Lobes(given, given, *axes, black, (slot,), np.full(n, front), no_coat, table)
     uniform = np.concatenate([np.full((1, n), 0.5, np.float32), u])

@@ -90,16 +90,20 @@ class Scattering:
         for done, index in enumerate(used, 1):
             which = np.flatnonzero(own == index)
             parts: list[Part] = []
-            for slot, (kind, alpha, ior) in enumerate(kinds[index]):
+            for slot, (kind, alpha, ior, gain) in enumerate(kinds[index]):
                 color = colors[1 + slot][which]
                 if not kind or (kind != bsdf.METALLIC and not color.any()):
                     continue
                 self.clear |= kind in CLEAR and ior != 1
-                key = (kind, alpha, ior)
+                key = (kind, alpha, ior, gain)
                 if key not in cache:
-                    cache[key] = _kernels(basis, kind, alpha, ior, table, self.pairs)
+                    cache[key] = _kernels(basis, *key, table, self.pairs)
                     yield (done - 0.5) / len(used)
-                tints = (color, np.ones_like(color)) if kind == bsdf.METALLIC else (color,)
+                tints = [color, np.ones_like(color)] if kind == bsdf.METALLIC else [color]
+                if gain:
+                    mean = bsdf.mean_reflectance(np.full(len(color), kind), color)
+                    kept = table.gains.kept(np.full(len(color), gain), mean)
+                    tints += [tint * kept for tint in tints]
                 parts += [Part(tint, *kernel) for tint, kernel in zip(tints, cache[key], strict=True)]
             left = right = flat
             if table.coat[index].any():
@@ -165,30 +169,32 @@ def _product(kernel: np.ndarray, x: np.ndarray, transposed: bool) -> np.ndarray:
     return flat.reshape(m, 3, size).transpose(0, 2, 1)
 
 
-def _kernels(basis: Basis, kind: int, alpha: float, ior: float, table: bsdf.BsdfTable, count: int) -> list:
-    """One pair of matrices, or two for metals: of the part that takes the metal's colour, and of Schlick's white rest."""
+def _kernels(basis: Basis, kind: int, alpha: float, ior: float, gain: int, table: bsdf.BsdfTable, count: int) -> list:
+    """One pair of matrices, or two for metals: of the part that takes the metal's colour, and of Schlick's white rest. The same once
+    more, where there is a gain, for what bounces more than once between microfacets.
+    """
     through = kind in CLEAR or kind == bsdf.TRANSPARENT
     measure = np.array([1.0, ior * ior if kind in CLEAR else 1.0])
     drawn = bsdf.GLOSSY if kind == bsdf.METALLIC else kind
     front = pairs(drawn, alpha, ior, True, table, count)
     # What only reflects looks the same from behind.
     back = pairs(drawn, alpha, ior, False, table, count) if through else front
-    if kind != bsdf.METALLIC:
-        return [basis.kernels((front, back), measure)]
-    share = facet_share(front)
-    out = []
-    for s in (1 - share, share):
-        p = Pairs(front.given, front.other, front.through, front.weight * s)
-        out.append(basis.kernels((p, p), measure))
-    return out
+    shares = [(1.0, 1.0)]
+    if kind == bsdf.METALLIC:
+        white = facet_share(front)
+        shares = [(1 - white, 1 - white), (white, white)]
+    if gain:
+        more = (front.excess(table.gains, gain, False), back.excess(table.gains, gain, True))
+        shares += [(a * more[0], b * more[1]) for a, b in shares]
+    return [basis.kernels((front.times(a), back.times(b)), measure) for a, b in shares]
 
 
-def _mean_colors(elements: Elements, table: bsdf.BsdfTable) -> tuple[list[np.ndarray], list[list[tuple[int, float, float]]]]:
-    """Mean colour (ne, 3) float64 of the diffuse base and of every slot, and (kind, alpha, ior) of the slots of every material."""
+def _mean_colors(elements: Elements, table: bsdf.BsdfTable) -> tuple[list[np.ndarray], list[list[tuple[int, float, float, int]]]]:
+    """Mean colour (ne, 3) float64 of the diffuse base and of every slot, and (kind, alpha, ior, gain) of the slots of every material."""
     scene = elements.world.scene
     steps = (np.arange(COLOR_GRID) + 0.5) / COLOR_GRID if any(not x.color.is_constant for m in scene.materials for x in m.lobes) else [0.25]
     colors = [np.zeros((elements.count, 3)) for _ in range(1 + table.count)]
-    kinds: list[list[tuple[int, float, float]]] = [[] for _ in scene.materials]
+    kinds: list[list[tuple[int, float, float, int]]] = [[] for _ in scene.materials]
     index = np.arange(elements.count)
     for a in steps:
         for b in steps:
@@ -198,5 +204,5 @@ def _mean_colors(elements: Elements, table: bsdf.BsdfTable) -> tuple[list[np.nda
                 total += color / len(steps) ** 2
     for material in np.unique(lobes.material):
         at = int(np.flatnonzero(lobes.material == material)[0])
-        kinds[material] = [(int(s.kind[at]), float(s.alpha[at]), float(s.ior[at])) for s in lobes.slots]
+        kinds[material] = [(int(s.kind[at]), float(s.alpha[at]), float(s.ior[at]), int(s.gain[at])) for s in lobes.slots]
     return colors, kinds

@@ -101,12 +101,14 @@ class Lobe:
     """One term of a BSDF (or an emission) with its weight.
 
     kinds: diffuse, emission; metallic, specular (a dielectric coat over the rest), glossy, glass, refraction, transparent.
+    multiscatter: light that bounces more than once between microfacets is kept (metallic, glossy and glass).
     """
 
     kind: str
     color: Color
     roughness: float = 1.0
     ior: float = 1.45
+    multiscatter: bool = False
 
 
 @dataclass(frozen=True)

@@ -104,6 +104,23 @@ def test_each_shader(kind, lobe):
     assert told(arrays, "ideal diffuser") == (kind in ("ShaderNodeBsdfTranslucent", "ShaderNodeSubsurfaceScattering"))
 
 
+@pytest.mark.parametrize("kind", ["ShaderNodeBsdfAnisotropic", "ShaderNodeBsdfGlass", "ShaderNodeBsdfPrincipled"])
+@pytest.mark.parametrize("distribution", ["GGX", "MULTI_GGX"])
+def test_the_distribution_says_whether_all_bounces_between_facets_count(kind, distribution):
+    values = {"Metallic": 1.0} if kind == "ShaderNodeBsdfPrincipled" else {}
+    material = shader_material("m", kind, Roughness=0.5, **values)
+    next(n for n in material.node_tree.nodes if n.bl_idname == kind).distribution = distribution
+    lobes, _ = lobes_of(material)
+    assert [x.multiscatter for x in lobes.values() if x.kind != "diffuse"] == [distribution == "MULTI_GGX"]
+
+
+def test_other_distributions_are_named():
+    material = shader_material("m", "ShaderNodeBsdfRefraction", Roughness=0.5)
+    next(n for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfRefraction").distribution = "BECKMANN"
+    _, arrays = lobes_of(material)
+    assert told(arrays, "BECKMANN", "computed as GGX")
+
+
 def mixed(kind, factor=None):
     """Red diffuse and emission through Mix or Add Shader."""
     material = empty_material("mixed")

@@ -14,6 +14,9 @@ ROUGH = {
     "coated": [Lobe("diffuse", C(0.8)), Lobe("specular", C(1), 0.4, 1.45)],
     "glass": [Lobe("glass", C(1), 0.5, 1.5)],
     "refraction": [Lobe("refraction", C(0.9), 0.4, 1.5)],
+    "glossy, many bounces": [Lobe("glossy", C(0.9), 0.8, multiscatter=True)],
+    "metallic, many bounces": [Lobe("metallic", C(0.9, 0.6, 0.2), 0.7, multiscatter=True)],
+    "glass, many bounces": [Lobe("glass", C(1), 0.8, 1.5, multiscatter=True)],
     "mix": [Lobe("diffuse", C(0.3)), Lobe("glossy", C(0.3), 0.6), Lobe("glass", C(0.3), 0.5, 1.3)],
 }
 CASES = [(name, mu, side) for name in ROUGH for mu in (0.9, 0.4) for side in (1.0, -1.0)]
@@ -88,7 +91,7 @@ def test_albedo_by_sampling_equals_albedo_by_integration_and_makes_no_energy(nam
     assert (drawn >= 0).all() and np.isfinite(drawn).all()
 
 
-@pytest.mark.parametrize("name", ["diffuse", "glossy", "metallic", "coated", "mix"])
+@pytest.mark.parametrize("name", ["diffuse", "glossy", "metallic", "coated", "glossy, many bounces", "metallic, many bounces", "mix"])
 def test_reflection_is_reciprocal(name):
     rng = np.random.default_rng(5)
     w = rng.normal(size=(2, 5000, 3))
@@ -99,20 +102,50 @@ def test_reflection_is_reciprocal(name):
     assert np.allclose(forward, back, rtol=2e-3, atol=1e-5)
 
 
-def test_refraction_is_reciprocal_in_basic_radiance():
+@pytest.mark.parametrize("name", ["glass", "glass, many bounces"])
+def test_refraction_is_reciprocal_in_basic_radiance(name):
     rng = np.random.default_rng(6)
     w = rng.normal(size=(2, 5000, 3))
     w[0, :, 2] = np.abs(w[0, :, 2]) + 0.3
     w[1, :, 2] = -np.abs(w[1, :, 2]) - 0.3
     a, b = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in w)
     flip = np.float32([1, 1, -1])
-    out = bsdf.evaluate(lobes_at(ROUGH["glass"], a, 1.0), b.astype(np.float32))[0] / np.abs(b[:, 2:])
+    out = bsdf.evaluate(lobes_at(ROUGH[name], a, 1.0), b.astype(np.float32))[0] / np.abs(b[:, 2:])
     # The same pair seen from the other side: the frame is turned over, so z changes sign.
-    back = bsdf.evaluate(lobes_at(ROUGH["glass"], b * flip, -1.0), (a * flip).astype(np.float32))[0] / np.abs(a[:, 2:])
+    back = bsdf.evaluate(lobes_at(ROUGH[name], b * flip, -1.0), (a * flip).astype(np.float32))[0] / np.abs(a[:, 2:])
     # f(o, i) / n_i^2 is symmetric: with the index on the side of wi in the numerator the two differ by 1.5^2.
     good = out[:, 0] > 1e-3
     assert good.sum() > 100
     assert np.allclose(out[good, 0], back[good, 0] * 1.5**2, rtol=5e-3)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("mu", [0.1, 0.5, 0.95])
+@pytest.mark.parametrize("lobe", [("glossy", 0.3), ("glossy", 1.0), ("metallic", 0.6), ("glass", 0.3), ("glass", 1.0)], ids=str)
+def test_white_facets_lose_nothing_when_all_bounces_count(lobe, mu, side):
+    kind, roughness = lobe
+    n = 200_000
+    once, many = (
+        bsdf.sample(lobes_at([Lobe(kind, C(1), roughness, 1.5, m)], view(mu, n), side), np.random.default_rng(2)).weight[:, 0].astype(float)
+        for m in (False, True)
+    )
+    assert abs(many.mean() - 1) < 4 * many.std() / np.sqrt(n) + 0.006
+    assert once.mean() < 0.999
+
+
+def test_coloured_facets_absorb_at_every_bounce():
+    """Grey facets of reflectance F that reflect a share E at once: F E + F m (1 - E), m = F E / (1 - F (1 - E)), in the mean."""
+    n = 400_000
+    mu = np.sqrt((np.arange(n) + 0.5) / n).astype(np.float32)  # by the cosine
+    wo = np.stack([np.sqrt(1 - mu * mu), np.zeros_like(mu), mu], 1)
+
+    def albedo(color, many):
+        lobes = lobes_at([Lobe("glossy", C(color), 0.9, multiscatter=many)], wo)
+        return bsdf.sample(lobes, np.random.default_rng(4)).weight[:, 0].mean(dtype=float)
+
+    single = albedo(1.0, False)
+    kept = 0.5 * single / (1 - 0.5 * (1 - single))
+    assert albedo(0.5, True) == pytest.approx(0.5 * single + 0.5 * kept * (1 - single), rel=0.004)
 
 
 def test_mirror_and_glass_without_roughness_are_exact():

@@ -22,6 +22,8 @@ SIZES = [(1, 1), (1, 4), (2, 3), (4, 8)]
 WALLS = Material("Wall", (Lobe("diffuse", Color.of(0.3, 0.5, 0.1)), Lobe("glossy", Color.of(0.4, 0.3, 0.6), 0.5)))
 COATED = Material("Coated", (Lobe("diffuse", Color.of(0.6)), Lobe("specular", Color.of(1.0), 0.3, 1.5)))
 METAL = Material("Metal", (Lobe("metallic", Color.of(0.9, 0.6, 0.3), 0.4),))
+BRUSHED = Material("Brushed", (Lobe("metallic", Color.of(0.9, 0.6, 0.3), 0.8, multiscatter=True),))
+FROSTED = Material("Frosted", (Lobe("glass", Color.of(0.9, 0.9, 0.8), 0.7, 1.5, multiscatter=True),))
 MIRROR = Material("Mirror", (Lobe("glossy", Color.of(0.8), 0.0),))
 GLASS = Material("Glass", (Lobe("glass", Color.of(0.9), 0.3, 1.5),))
 CLEAR = Material("Clear", (Lobe("refraction", Color.of(0.9), 0.0, 1.5), Lobe("transparent", Color.of(0.05))))
@@ -151,7 +153,7 @@ def test_light_that_passes_a_transparent_sheet_goes_straight():
 # ---- transport
 
 
-@pytest.mark.parametrize("material", [WALLS, COATED, METAL, MIRROR, GLASS, CLEAR], ids=lambda m: m.name)
+@pytest.mark.parametrize("material", [WALLS, COATED, METAL, BRUSHED, MIRROR, GLASS, FROSTED, CLEAR], ids=lambda m: m.name)
 def test_apply_and_adjoint_are_dual(material):
     t = transport_of(WALLS, block=material, edge=1.5)
     x, y = np.random.default_rng(1).normal(size=(2, t.count, t.bins.size, 3))
