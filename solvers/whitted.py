@@ -304,6 +304,7 @@ def _ambient_reflectance(lobes: bsdf.Lobes) -> np.ndarray:
     out = lobes.diffuse * (1 - coat)[:, None]
     for slot in lobes.slots:
         share = np.where(slot.kind == bsdf.SPECULAR, coat, np.float32(1)) * (slot.kind > 0)
+        share = np.where(slot.kind == bsdf.DIELECTRIC, bsdf.boundary_share(lobes, slot), share)
         out = out + slot.color * share[:, None]
     return out
 

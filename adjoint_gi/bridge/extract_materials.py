@@ -18,6 +18,7 @@ from .extract_shaders import Shaders, surface
 from .versions import uses_nodes
 
 LARGEST_EMISSION = 1e9  # W m-2 sr-1; its square still fits in float32
+BESIDE = ("emission", "specular", "dielectric")  # lobes that take nothing from what the others reflect and pass
 DEFAULT = "Default"  # name of the material of faces without one
 
 
@@ -109,7 +110,7 @@ class Materials:
         """All lobes together must not reflect and pass more than they receive: constants over 1 are scaled down with a notice."""
         total = np.zeros(3)
         for lobe in lobes:
-            if lobe.kind not in ("emission", "specular") and lobe.color.is_constant:
+            if lobe.kind not in BESIDE and lobe.color.is_constant:
                 total += lobe.color.constant
         worst = float(total.max())
         if worst <= 1.0 + 1e-5:
@@ -117,7 +118,7 @@ class Materials:
         self._tell(
             f"reflects and passes {worst:.3g} times what it receives; it is scaled down to 1", "Use Mix Shader instead of Add Shader"
         )
-        out = [x if x.kind in ("emission", "specular") else replace(x, color=x.color * (1.0 / worst)) for x in lobes]
+        out = [x if x.kind in BESIDE else replace(x, color=x.color * (1.0 / worst)) for x in lobes]
         return tuple(lobe for lobe in out if not lobe.color.is_black)
 
 

@@ -1,9 +1,11 @@
 """Principled BSDF of Blender 4.2 to 5.2 as lobes; sockets are looked up by name.
 
 With alpha a, metallic m, transmission t, base colour C (each may be textured):
-    transparent 1 - a;  emission a * colour * strength;  metallic a m C;  glass a (1 - m) t sqrt(C);
+    transparent 1 - a;  emission a * colour * strength;  metallic a m C;
+    glass a (1 - m) t sqrt(C), dielectric a (1 - m) t (1 - sqrt(C));
     diffuse a (1 - m) (1 - t) C;  specular a (1 - m) (1 - t) tint, a dielectric coat over the diffuse.
-Cycles colours what passes through by sqrt(C), so that two surfaces give C, and leaves reflections white; here they have the colour too.
+Like in Cycles, what passes is coloured by sqrt(C), so that two surfaces give C, and what is reflected is white: the glass lobe colours
+both, and the dielectric lobe adds what its reflections lack.
 Sheen, coat, thin film, anisotropy and subsurface scattering are not computed and are named when they are used.
 """
 
@@ -60,7 +62,9 @@ def principled_lobes(colors: Colors, place: Place) -> list[Lobe]:
     lobes.append(Lobe("metallic", base * metallic * alpha, roughness, multiscatter=many))
     glass = alpha * metallic.complement() * transmission
     if not glass.is_black:
-        lobes.append(Lobe("glass", _root(colors, place, base) * glass, roughness, ior, many))
+        root = _root(colors, place, base)
+        lobes.append(Lobe("glass", root * glass, roughness, ior, many))
+        lobes.append(Lobe("dielectric", root.complement() * glass, roughness, ior))
     adjusted = _adjusted_ior(ior, level)
     if adjusted != 1.0:
         tint = colors.color(sockets["Specular Tint"]) if "Specular Tint" in sockets else Color.of(1.0)

@@ -18,7 +18,7 @@ from .multiscatter import Gains
 from .scene import Color, Lobe, SceneArrays
 from .shading import ColorField
 
-GLOSSY, METALLIC, SPECULAR, GLASS, REFRACTION, TRANSPARENT = range(1, 7)
+GLOSSY, METALLIC, SPECULAR, GLASS, REFRACTION, TRANSPARENT, DIELECTRIC = range(1, 8)
 KINDS = {
     "glossy": GLOSSY,
     "metallic": METALLIC,
@@ -26,6 +26,7 @@ KINDS = {
     "glass": GLASS,
     "refraction": REFRACTION,
     "transparent": TRANSPARENT,
+    "dielectric": DIELECTRIC,
 }
 ALL_LOBES = frozenset(("diffuse", *KINDS))
 # Lobes narrower than this are perfect mirrors: float32 cannot hold their peak.
@@ -188,7 +189,7 @@ def reflectance(kind: np.ndarray, slot: Slot, cosine: np.ndarray, eta: np.ndarra
     which = kind == METALLIC
     if which.any():
         out[which] = mf.schlick(cosine[which], slot.color[which])
-    which = (kind == SPECULAR) | (kind == GLASS)
+    which = (kind == SPECULAR) | (kind == GLASS) | (kind == DIELECTRIC)
     if which.any():
         out[which] = slot.color[which] * mf.fresnel(cosine[which], eta[which])[:, None]
     out[(kind == REFRACTION) | (kind == TRANSPARENT)] = 0
@@ -211,6 +212,11 @@ def _diffuse_scale(lobes: Lobes, cos_i: np.ndarray) -> np.ndarray:
     return out * back / (1 - table.coat_mean[lobes.material])
 
 
+def boundary_share(lobes: Lobes, slot: Slot) -> np.ndarray:
+    """(n,) Fresnel reflectance of a smooth boundary seen from wo."""
+    return mf.fresnel(lobes.local[:, 2], relative_ior(lobes, slot))
+
+
 def weights(lobes: Lobes) -> np.ndarray:
     """(1 + slots, n) probabilities with which `sample` picks the diffuse lobe and each slot; sums to 1 (0 where all black)."""
     p = np.empty((1 + len(lobes.slots), len(lobes.wo)), np.float32)
@@ -221,6 +227,9 @@ def weights(lobes: Lobes) -> np.ndarray:
         if coat.any():
             at = lobes.table.coat_at(lobes.material[coat], lobes.local[coat, 2])
             p[i + 1, coat] *= np.maximum(at, np.float32(0.02))
+        boundary = s.kind == DIELECTRIC
+        if boundary.any():
+            p[i + 1, boundary] *= np.maximum(boundary_share(lobes, s)[boundary], np.float32(0.02))
     return p / np.maximum(p.sum(axis=0), mf.TINY)
 
 

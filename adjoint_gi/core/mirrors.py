@@ -10,7 +10,7 @@ import numpy as np
 from . import bsdf
 from . import microfacet as mf
 
-REFLECTING = (bsdf.GLOSSY, bsdf.METALLIC, bsdf.SPECULAR, bsdf.GLASS)
+REFLECTING = (bsdf.GLOSSY, bsdf.METALLIC, bsdf.SPECULAR, bsdf.GLASS, bsdf.DIELECTRIC)
 CLEAR = (bsdf.GLASS, bsdf.REFRACTION, bsdf.TRANSPARENT)
 
 

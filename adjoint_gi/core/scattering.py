@@ -177,8 +177,8 @@ def _kernels(basis: Basis, kind: int, alpha: float, ior: float, gain: int, table
     measure = np.array([1.0, ior * ior if kind in CLEAR else 1.0])
     drawn = bsdf.GLOSSY if kind == bsdf.METALLIC else kind
     front = pairs(drawn, alpha, ior, True, table, count)
-    # What only reflects looks the same from behind.
-    back = pairs(drawn, alpha, ior, False, table, count) if through else front
+    # What only reflects looks the same from behind, unless an index differs.
+    back = pairs(drawn, alpha, ior, False, table, count) if through or kind == bsdf.DIELECTRIC else front
     shares = [(1.0, 1.0)]
     if kind == bsdf.METALLIC:
         white = facet_share(front)

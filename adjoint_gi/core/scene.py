@@ -100,7 +100,8 @@ class Color:
 class Lobe:
     """One term of a BSDF (or an emission) with its weight.
 
-    kinds: diffuse, emission; metallic, specular (a dielectric coat over the rest), glossy, glass, refraction, transparent.
+    kinds: diffuse, emission; metallic, specular (a dielectric coat over the rest), glossy, glass, refraction, transparent, and
+    dielectric, which is what glass reflects without what it passes.
     multiscatter: light that bounces more than once between microfacets is kept (metallic, glossy and glass).
     """
 

@@ -7,7 +7,7 @@ import numpy as np
 from .errors import Notice
 from .scene import Color, Material, SceneArrays, Source, Texture
 
-# How a method that knows only diffuse surfaces takes the other lobes; a specular coat is left to the diffuse base below it.
+# How a method that knows only diffuse surfaces takes the other lobes; reflections of a coat or of clear glass are left out.
 AS_DIFFUSE = ("diffuse", "metallic", "glossy", "glass", "refraction", "transparent")
 
 

@@ -80,6 +80,9 @@ SAME = {
     "transparent": shader(TRANSPARENT, Color=GOLD),
     "metallic 0.3": shader(PRINCIPLED, Base_Color=GOLD, Metallic=1.0, Roughness=0.3),
     "principled glass, white": shader(PRINCIPLED, Base_Color=WHITE, Transmission_Weight=1.0, Roughness=0.0, IOR=1.5),
+    "principled glass, grey": shader(PRINCIPLED, Base_Color=GREY, Transmission_Weight=1.0, Roughness=0.0, IOR=1.5),
+    "principled glass, gold": shader(PRINCIPLED, Base_Color=GOLD, Transmission_Weight=1.0, Roughness=0.0, IOR=1.5),
+    "principled glass, gold, 0.3": shader(PRINCIPLED, Base_Color=GOLD, Transmission_Weight=1.0, Roughness=0.3, IOR=1.5),
     "mix": mixed,
 }
 LIMIT = baking.sidak(3 * SIZE**2 * len(SAME), 0.01)  # standard errors: 1 % for all pixels, channels and materials together
@@ -94,8 +97,6 @@ OTHER = {
     "dielectric 0.5": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Roughness=0.5, IOR=1.5), 0.001),
     "dielectric 0.1": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Roughness=0.1, IOR=1.45), 0.001),
     "dielectric 0.5 tinted": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Roughness=0.5, Specular_Tint=GOLD), 0.013),
-    "principled glass, grey": (shader(PRINCIPLED, Base_Color=GREY, Transmission_Weight=1.0, Roughness=0.0, IOR=1.5), -0.053),
-    "principled glass, gold": (shader(PRINCIPLED, Base_Color=GOLD, Transmission_Weight=1.0, Roughness=0.0, IOR=1.5), -0.087),
     "principled coat": (shader(PRINCIPLED, Base_Color=GOLD, Roughness=0.5, Coat_Weight=1.0), -0.015),
     "anisotropic 0.8": (shader(GLOSSY, Color=GOLD, Roughness=0.3, Anisotropy=0.8), 0.182),
     "rough diffuse": (shader(DIFFUSE, Color=GOLD, Roughness=1.0), 0.161 if bpy.app.version >= (4, 3, 0) else 0.300),  # 4.2 loses energy

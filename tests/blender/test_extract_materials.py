@@ -50,6 +50,7 @@ def test_principled_weights():
     assert lobes["transparent"].color.constant == approx(0.2)
     assert lobes["metallic"].color.constant == approx(0.5 * 0.2, 0.4 * 0.2, 0.3 * 0.2)
     assert lobes["glass"].color.constant == approx(0.5**0.5 * 0.3, 0.4**0.5 * 0.3, 0.3**0.5 * 0.3)
+    assert lobes["dielectric"].color.constant == approx(*((1 - c**0.5) * 0.3 for c in (0.5, 0.4, 0.3)))
     assert lobes["diffuse"].color.constant == approx(0.5 * 0.3, 0.4 * 0.3, 0.3 * 0.3)
     assert lobes["specular"].color.constant == approx(0.3)
     assert lobes["emission"].color.constant == approx(8.0, 4.0, 0.0)

@@ -13,6 +13,8 @@ ROUGH = {
     "metallic": [Lobe("metallic", C(0.9, 0.6, 0.2), 0.4)],
     "coated": [Lobe("diffuse", C(0.8)), Lobe("specular", C(1), 0.4, 1.45)],
     "glass": [Lobe("glass", C(1), 0.5, 1.5)],
+    "dielectric": [Lobe("dielectric", C(0.9), 0.5, 1.5)],
+    "white and gold glass": [Lobe("glass", C(0.9, 0.6, 0.3), 0.4, 1.5), Lobe("dielectric", C(0.1, 0.4, 0.7), 0.4, 1.5)],
     "refraction": [Lobe("refraction", C(0.9), 0.4, 1.5)],
     "glossy, many bounces": [Lobe("glossy", C(0.9), 0.8, multiscatter=True)],
     "metallic, many bounces": [Lobe("metallic", C(0.9, 0.6, 0.2), 0.7, multiscatter=True)],
@@ -91,7 +93,7 @@ def test_albedo_by_sampling_equals_albedo_by_integration_and_makes_no_energy(nam
     assert (drawn >= 0).all() and np.isfinite(drawn).all()
 
 
-@pytest.mark.parametrize("name", ["diffuse", "glossy", "metallic", "coated", "glossy, many bounces", "metallic, many bounces", "mix"])
+@pytest.mark.parametrize("name", [name for name in ROUGH if "glass" not in name and name != "refraction"])
 def test_reflection_is_reciprocal(name):
     rng = np.random.default_rng(5)
     w = rng.normal(size=(2, 5000, 3))
@@ -167,6 +169,20 @@ def test_total_reflection_inside_glass():
     wo = view(0.3, 1000)
     glass = bsdf.sample(lobes_at([Lobe("glass", C(1), 0.0, 1.5)], wo, side=-1.0), np.random.default_rng(1))
     assert not glass.through.any() and np.allclose(glass.weight, 1, atol=1e-5)
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.4])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_coloured_glass_reflects_white_with_a_dielectric_lobe(roughness, side):
+    """It reflects what white glass reflects, and passes the colour times what white glass passes."""
+    n = 400_000
+    wo = view(0.7, n)
+    found = []
+    for lobes in ([("glass", 1.0)], [("glass", 0.36), ("dielectric", 0.64)]):
+        drawn = bsdf.sample(lobes_at([Lobe(kind, C(c), roughness, 1.5) for kind, c in lobes], wo, side), np.random.default_rng(6))
+        found.append([np.where(drawn.through == t, drawn.weight[:, 0], 0).astype(float) for t in (False, True)])
+    for expected, got in ((found[0][0], found[1][0]), (0.36 * found[0][1], found[1][1])):
+        assert abs(got.mean() - expected.mean()) < 4.5 * np.sqrt((got.var() + expected.var()) / n) + 1e-5
 
 
 def test_transparent_goes_straight_on():

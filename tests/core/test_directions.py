@@ -102,7 +102,8 @@ def test_frames_of_both_sides_share_their_tangents():
 
 @pytest.mark.parametrize(("rows", "columns"), SIZES)
 @pytest.mark.parametrize(
-    ("kind", "alpha"), [(bsdf.GLOSSY, 0.0), (bsdf.GLOSSY, 0.2), (bsdf.SPECULAR, 0.1), (bsdf.GLASS, 0.2), (bsdf.REFRACTION, 0.0)]
+    ("kind", "alpha"),
+    [(bsdf.GLOSSY, 0.0), (bsdf.GLOSSY, 0.2), (bsdf.SPECULAR, 0.1), (bsdf.GLASS, 0.2), (bsdf.DIELECTRIC, 0.0), (bsdf.REFRACTION, 0.0)],
 )
 def test_scattering_is_reciprocal_and_keeps_energy(rows, columns, kind, alpha):
     bins = Bins(rows, columns)
