@@ -210,7 +210,7 @@ class _Run:
                     np.maximum(whole - direct, 0.0, out=self.rest)
                     self._note(residual)
                 yield from self._pause(self._progress(done, residual), f"Iteration {len(self.history)}, residual {residual:.1e}")
-            np.subtract(whole, direct, out=self.rest)
+            np.maximum(whole - direct, 0, out=self.rest)
             solved = residual <= s.tolerance
             self.balance = self._energy(leaving, arriving, whole)
         if not solved:

@@ -195,6 +195,8 @@ class _State:
             # Nothing may be extrapolated to below zero within its reach.
             slope = np.sqrt((translation.sum(axis=1) ** 2).sum(axis=1))
             radius = np.minimum(radius, irradiance.sum(axis=1) / np.maximum(slope, np.float32(1e-20)))
-        radius = np.clip(radius, self.settings.min_spacing * world.size / self.settings.accuracy, 2 * world.size)
-        radius = radius.astype(np.float32)
+        bound = radius
+        radius = np.clip(radius, self.settings.min_spacing * world.size / self.settings.accuracy, 2 * world.size).astype(np.float32)
+        # Where the least spacing makes records reach further than that, they are extrapolated less.
+        translation = translation * np.minimum(1, bound / radius)[:, None, None].astype(np.float32)
         return Records(position, ns, irradiance.astype(np.float32), radius, rotation, translation), len(direction) + found.rays

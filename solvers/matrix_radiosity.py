@@ -22,7 +22,7 @@ import numpy as np
 from ..adjoint_gi.core.answer import ElementAnswer, elements_for
 from ..adjoint_gi.core.elements import Elements
 from ..adjoint_gi.core.emitters import Emitters
-from ..adjoint_gi.core.errors import MemoryRefused, Notice, SceneError
+from ..adjoint_gi.core.errors import MemoryRefused, Notice
 from ..adjoint_gi.core.factor_matrix import FactorMatrix, bytes_needed
 from ..adjoint_gi.core.radiosity import LampLight, RadiositySettings, dark_notices, receiver_light
 from ..adjoint_gi.core.receivers import Receivers
@@ -31,6 +31,7 @@ from ..adjoint_gi.core.schemes import gauss_seidel, jacobi, lengths, trapped
 from ..adjoint_gi.core.settings import setting
 from ..adjoint_gi.core.solution import EnergyBalance, Solution, Step
 from ..adjoint_gi.core.transports import MatrixTransport
+from ..adjoint_gi.core.trapped import refuse
 from ..adjoint_gi.core.world import World
 
 TARGET = 2000  # elements where max_edge is chosen
@@ -177,13 +178,8 @@ class _Run:
 
     def _refuse_trapped(self) -> None:
         caught = np.flatnonzero(trapped(self.transport))
-        if not len(caught):
-            return
-        element = self.matrix.sides[caught[0]] >> 1
-        triangle = self.elements.patch_triangle[self.elements.patch[element]]
-        name = self.world.scene.materials[self.world.scene.material[triangle]].name
-        reason = "reflects all light (albedo 1) where no light can leave, so the radiosity has no limit"
-        raise SceneError(f"Material {name}", reason, "Lower its colour below 1, or choose path tracing with a bounded path length")
+        if len(caught):
+            refuse(self.elements, int(self.matrix.sides[caught[0]]))
 
     def _step(self, fraction: float, text: str, partial: bool = True) -> Step:
         irradiance, history, warnings = self.irradiance, tuple(self.history), self.warnings

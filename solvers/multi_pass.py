@@ -1,4 +1,4 @@
-"""Progressive multi-pass method (Chen, Rushmeier, Miller and Turner 1991; review, section 9).
+"""Progressive multi-pass method (Chen, Rushmeier, Miller and Turner 1991; review, sections 5.2.1 and 7).
 
 Both strategies, both natures. First progressive radiosity shoots the light of all sources among the elements, over mirrors as well
 (extended form factors), which shows a complete picture almost at once. Then Monte Carlo passes refine it, sample by sample:
@@ -40,6 +40,7 @@ from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, reg
 from ..adjoint_gi.core.schemes import NO_LIMIT, Southwell
 from ..adjoint_gi.core.settings import setting
 from ..adjoint_gi.core.solution import EnergyBalance, Solution, Step
+from ..adjoint_gi.core.trapped import Trap
 from ..adjoint_gi.core.view_pass import View, estimator
 from ..adjoint_gi.core.world import World
 from .progressive_radiosity import LARGEST_BATCH, balance, group
@@ -112,8 +113,8 @@ class MultiPass(Solver):
         year=1991,
         authors="S. E. Chen, H. E. Rushmeier, G. Miller, D. Turner",
         title="A Progressive Multi-Pass Method for Global Illumination",
-        equation="W = g + T* W first, then L = Le + T L  (4, then 2)",
-        section="9",
+        equation="W = g + T* W first, then L = Le + T L  (2, then 1)",
+        section="5.2.1 and 7",
         idea="Progressive radiosity gives a picture at once; path tracing then replaces what it cannot resolve, and reads it further off.",
         limits=(
             "Radiosity read at later surfaces is as exact as the elements are small: a small bias, less with more traced bounces",
@@ -148,7 +149,8 @@ class MultiPass(Solver):
             yield Step(FIRST * share, text, blend.solution)
         # 2. Refinement.
         walk = Walk(world, emitters, blend.chains.table, settings.min_length, settings.max_length)
-        view = View(walk, blend.known(), settings.hops if blend.reads else settings.max_length + 1, False, blend.unmet())
+        unmet = blend.caustics.unmet_light(settings.min_length, settings.max_length)
+        view = View(walk, blend.known(), settings.hops if blend.reads else settings.max_length + 1, False, unmet)
         for step in run.steps(estimator(view), settings.samples, rng):
             yield dataclasses.replace(step, fraction=FIRST + (1 - FIRST) * step.fraction, solution=blend.solution)
 
@@ -185,11 +187,13 @@ class _Blend:
         self.state = state = Southwell(self.transport, self.emitted, self.lamps.irradiance)
         state.arrive_later(self.caustics.total)
         left = float(state.unshot_flux().sum())
+        trap = Trap(state)
         while left > s.tolerance * state.total and state.shots < s.max_shots:
             index, rays = group(state, s, SHOTS)
             if not len(index):
                 break
             state.shoot(index, rays)
+            trap.check(self.elements)
             left = float(state.unshot_flux().sum())
             share = left / state.total
             run.history.append((run.clock.seconds, share))
@@ -212,15 +216,6 @@ class _Blend:
         known = KnownLight(self.elements, lambda _: light, 0)
         known.prepare()
         return known
-
-    def unmet(self) -> KnownLight | None:
-        """Caustics that paths of the second pass cannot find."""
-        if not self.caustics.unmet.any():
-            return None
-        zero = np.zeros_like(self.caustics.unmet)
-        unmet = KnownLight(self.elements, lambda _: (zero, self.caustics.unmet), 0)
-        unmet.prepare()
-        return unmet
 
     def solution(self) -> Solution:
         """A copy of the result as it stands: the first answer, weighed against the samples that have come in."""

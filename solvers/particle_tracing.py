@@ -183,6 +183,8 @@ class ParticleTracing(Solver):
                 if tally.count < settings.particles:
                     text = f"{tally.count:,} of {settings.particles:,} particles"
                     yield from clock.pause(Step(tally.count / settings.particles, text, solution))
+        if at_receivers(receivers, settings):
+            warnings += empty_notices(self.spec.label, tally)
         yield Step(1.0, f"{tally.count:,} particles", lambda: solution(False))
 
 
@@ -242,6 +244,15 @@ def camera_notices(world: World, receivers: Receivers, settings: ParticleSetting
             reason = "scatters particles by all its lobes, but is seen as diffuse, since elements hold irradiance"
             out.append(Notice(f"Material {material.name}", reason, "Choose path tracing or two-pass for pictures of it"))
     return tuple(dict.fromkeys(out))
+
+
+def empty_notices(label: str, tally: Tally) -> tuple[Notice, ...]:
+    """Said where most receivers have counted nothing, which looks like darkness."""
+    empty = float(np.mean(~(tally.direct + tally.indirect).any(axis=1))) if tally.count and len(tally.direct) else 0.0
+    if empty < 0.5:
+        return ()
+    reason = f"{empty:.0%} of the receivers have counted no particle"
+    return (Notice(label, reason, "Raise radius or set it to 0, send more particles, or accept that no light arrives there"),)
 
 
 def notices(world: World, emission: Emission) -> tuple[Notice, ...]:

@@ -37,6 +37,7 @@ from ..adjoint_gi.core.schemes import NO_LIMIT, Southwell
 from ..adjoint_gi.core.settings import setting
 from ..adjoint_gi.core.solution import EnergyBalance, Solution, Step
 from ..adjoint_gi.core.transports import FreshRayTransport
+from ..adjoint_gi.core.trapped import Trap
 from ..adjoint_gi.core.world import World
 
 TARGET = 8000  # elements where max_edge is chosen
@@ -188,11 +189,13 @@ class _Run:
             yield from self._subdivide()
         # 4. Groups of sides, most unshot flux first.
         left = float(self.state.unshot_flux().sum())
+        trap = Trap(self.state)
         while left > s.tolerance * self.state.total and self.state.shots < s.max_shots:
             index, rays = group(self.state, s)
             if not len(index):
                 break
             self.state.shoot(index, rays)
+            trap.check(self.elements)
             left = float(self.state.unshot_flux().sum())
             share = left / self.state.total
             self.history.append((time.monotonic() - self.started, share))

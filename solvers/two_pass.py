@@ -141,10 +141,8 @@ class TwoPass(Solver):
         known = first.known()
         known.prepare()
         unmet = None
-        if settings.gather and first.caustics.unmet.any():
-            zero = np.zeros_like(first.caustics.unmet)
-            unmet = KnownLight(elements, lambda _: (zero, first.caustics.unmet), 0)
-            unmet.prepare()
+        if settings.gather:
+            unmet = first.caustics.unmet_light(settings.min_length, settings.max_length)
         walk = Walk(world, emitters, first.chains.table, settings.min_length, settings.max_length)
         estimate = estimator(View(walk, known, int(settings.gather), settings.direct_light == "receivers", unmet))
         for step in run.steps(estimate, settings.samples, rng):

@@ -33,6 +33,7 @@ from ..adjoint_gi.core.solution import Step
 from ..adjoint_gi.core.world import Surface, World
 
 FRONT = 1 << 14  # rays that are followed at once
+MANY = 8  # glass surfaces after which rays that are all followed are very many
 INF = np.float32(np.inf)
 
 ROUGH = (
@@ -114,9 +115,15 @@ class Whitted(Solver):
         """Yield after every few batches of receivers. Raises SceneError for rough lobes where they are refused."""
         emitters = Emitters(world)
         tracer = Tracer(world, emitters, settings)
-        yield from Run(self.spec, world, receivers, settings, emitters, rough_notices(world, settings.rough)).sites(
-            tracer.estimate, tracer.points.batch
-        )
+        notices = rough_notices(world, settings.rough)
+        batch = tracer.points.batch
+        deepest = min(settings.depth, settings.max_length)
+        if settings.contribution == 0 and deepest > MANY and tracer.splits:
+            # Every glass surface doubles the rays: few points at a time keep the steps short, as far as that goes.
+            batch = max(1, min(batch, (1 << 20) >> min(deepest, 20)))
+            reason = f"every ray is followed over up to {deepest} glass surfaces, each of which doubles the rays"
+            notices += (Notice(self.spec.label, reason, "Raise contribution above 0 or lower depth if it takes too long"),)
+        yield from Run(self.spec, world, receivers, settings, emitters, notices).sites(tracer.estimate, batch)
 
 
 def rough_notices(world: World, rough: str) -> tuple[Notice, ...]:
@@ -159,6 +166,11 @@ class Tracer:
         self.world, self.emitters, self.settings = world, emitters, settings
         self.points = LightPoints(emitters, settings.light_points)
         self.table = bsdf.BsdfTable(world.scene)
+
+    @property
+    def splits(self) -> bool:
+        """Whether any surface both reflects and passes rays."""
+        return any(x.kind == "glass" and not x.color.is_black for m in self.world.scene.materials for x in m.lobes)
 
     def estimate(self, surface: Surface, wo: np.ndarray | None, _: np.random.Generator) -> Gathered:
         """Radiance towards `wo` (n, 3), or irradiance where it is None."""

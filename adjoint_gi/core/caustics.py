@@ -13,8 +13,10 @@ from .chains import Chains
 from .elements import Elements
 from .emission import STEPS, bounding_radius
 from .emitters import Emitters
+from .known_light import KnownLight
 from .lamp_emission import Background, lamp_source
 from .parallel import in_order
+from .schemes import NO_LIMIT
 
 BATCH = 1 << 14
 FEWEST = 256  # particles of a lamp
@@ -24,7 +26,7 @@ class Caustics:
     """Irradiance of element sides from lamps and background over at least one mirror, from fixed random numbers.
 
     by_length   (depth + 2, 2 ne, 3) float64 W m-2; entry k holds the light that has flown k segments, so 0 and 1 are empty
-    unmet       (2 ne, 3) float64: of this, what came over perfectly smooth lobes alone from lamps without size, which no ray from a
+    unmet       the same shape: of this, what came over perfectly smooth lobes alone from lamps without size, which no ray from a
                 receiver can meet
     rays        cast for it
     """
@@ -35,7 +37,6 @@ class Caustics:
         sides = 2 * elements.count
         self.rays = 0
         self.any = False
-        self.unmet = np.zeros((sides, 3))
         self._sources = []
         if chains.any and particles:
             radius = bounding_radius(world)
@@ -47,6 +48,7 @@ class Caustics:
         power = np.array([s.power for s, _ in self._sources])
         self._counts = [max(FEWEST, int(particles * p / power.sum())) for p in power]
         self.by_length = np.zeros((chains.depth + 2 if self._sources else 2, sides, 3))
+        self.unmet = np.zeros_like(self.by_length)
 
     @property
     def total(self) -> np.ndarray:
@@ -66,9 +68,26 @@ class Caustics:
                     self.any |= len(side) > 0
                     for c in range(3):
                         h = power[:, c] / area
-                        self.by_length[length, :, c] += np.bincount(side, h, len(self.unmet))
-                        self.unmet[:, c] += np.bincount(side[unmet], h[unmet], len(self.unmet))
+                        self.by_length[length, :, c] += np.bincount(side, h, self.by_length.shape[1])
+                        self.unmet[length, :, c] += np.bincount(side[unmet], h[unmet], self.by_length.shape[1])
                 yield (number + 1) / len(items)
+
+    def unmet_light(self, low: int, high: int) -> KnownLight | None:
+        """What is `unmet`, for a view pass that counts paths of `low` to `high` segments; None where there is none."""
+        if not self.unmet.any():
+            return None
+        zero, sums = np.zeros_like(self.unmet[0]), {}
+        longest = len(self.unmet) - 1
+
+        def lengths(segments: int) -> tuple[np.ndarray, np.ndarray]:
+            window = min(max(low - segments, 0), longest + 1), min(max(high - segments, -1), longest)
+            if window not in sums:
+                sums[window] = self.unmet[window[0] : window[1] + 1].sum(axis=0)
+            return zero, sums[window]
+
+        out = KnownLight(self.elements, lengths, high if high < NO_LIMIT else low)
+        out.prepare()
+        return out
 
     def _batch(self, item: tuple[int, int, int]) -> tuple[list, int]:
         """Particles first to last of a source: for each length the sides (m,), power (m, 3) in W and whether it is `unmet`; rays."""

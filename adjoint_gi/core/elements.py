@@ -108,7 +108,11 @@ class Elements:
         self.patch_area = world.area[self.patch_triangle] + second_area
 
     def _choose_edge(self, target: int) -> float:
-        """The longest max_edge that gives at least about `target` elements, by bisection of its logarithm."""
+        """The longest max_edge that gives at least about `target` elements, by bisection of its logarithm.
+
+        Where a scene is finer than that already, half of `target` is left to cut its large faces, or a ground would be one element.
+        """
+        target = max(target, len(self.patch_triangle) + target // 2)
         low, high = np.log(1e-6 * self.world.size), np.log(8.0 * self.world.size)
         for _ in range(30):
             middle = 0.5 * (low + high)

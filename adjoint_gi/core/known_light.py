@@ -26,8 +26,13 @@ class KnownLight:
 
     def prepare(self) -> None:
         """Make all node values now, before threads ask for them."""
+        seen: dict[tuple[int, int], tuple[tuple, np.ndarray]] = {}
         for k in range(self.most + 1):
-            self._nodes[k] = self.elements.nodes.values(np.concatenate(self.lengths(k), axis=1))
+            light = self.lengths(k)
+            key = id(light[0]), id(light[1])  # the arrays are kept, so the same numbers stand for the same arrays
+            if key not in seen:
+                seen[key] = light, self.elements.nodes.values(np.concatenate(light, axis=1))
+            self._nodes[k] = seen[key][1]
 
     def at(self, surface: Surface, segments: int) -> tuple[np.ndarray, np.ndarray]:
         """Direct and indirect irradiance (n, 3) float32 on the side of `surface`, which lies `segments` from the receiver."""
@@ -50,6 +55,7 @@ def lengths_of(
             rest = sum((h for k, h in enumerate(by_length) if k >= 2 and least <= k <= most), np.zeros_like(first))
         else:
             rest = total - first - sum((h for k, h in enumerate(by_length) if 2 <= k < least), np.zeros_like(first))
+            rest = np.maximum(rest, 0)  # a difference of nearly equal sums
         return direct, rest
 
     return at

@@ -38,11 +38,12 @@ Visit = Callable[[Hits], None]
 
 @dataclass
 class Ends:
-    """How walks ended. Counts add up: emitted = absorbed + escaped + cut. Energies in W, all colours summed.
+    """How walks ended. Counts add up: emitted = absorbed + escaped + cut. Energies in W, all colours summed, add up as
+    emitted + gained = absorbed + escaped + cut.
 
-    `gained` is what shading normals added: they bend the cosine law, which keeps the result right but not the power of a particle;
-    and what lobes added whose sampled share exceeds 1, which is 0 on average. It is 0 for diffuse surfaces without smooth shading,
-    and then the energies add up as the counts do.
+    What is absorbed is what does not go on, whatever ended the walk: lobes whose sampled share exceeds 1 make a particle stronger, and
+    then it is negative. `gained` is what shading normals added, or took where it is negative: they bend the cosine law, which keeps
+    the result right but not the power of a particle.
     """
 
     emitted: int = 0
@@ -119,10 +120,16 @@ def walk(
         share = scattered.power.sum(axis=1) / np.maximum(weight.sum(axis=1), np.float32(1e-37))
         alive = np.flatnonzero(rng.random(len(share), np.float32) < share)
         ends.absorbed += len(share) - len(alive)
-        before = _energy(weight[alive])
-        ends.absorbed_energy += _energy(weight) - before
+        before = _energy(weight)
+        if world.any_smooth and not importance:
+            bent = scattered.bent if scattered.bent is not None else np.float32(1)
+            factor = shading_factor(surface, direction) * bent
+            gained = _energy(scattered.power * (1 - 1 / np.maximum(factor, np.float32(1e-7)))[:, None])
+        else:
+            gained = 0.0
         weight, row = scattered.power[alive] / np.minimum(share[alive], np.float32(1))[:, None], row[alive]
-        ends.gained += _energy(weight) - before
+        ends.gained += gained
+        ends.absorbed_energy += before - _energy(weight) + gained
         origin, direction = scattered.departure(world, surface, alive, rng)
     ends.cut += len(origin)
     ends.cut_energy += _energy(weight)
@@ -132,13 +139,15 @@ def walk(
 @dataclass(frozen=True, eq=False)
 class _Scattered:
     """Power (n, 3) that goes on. Where `by_cosine` (n,) bool, the direction is drawn about `normal` only for those that survive;
-    elsewhere it is `direction`, on the other side of the surface where `through`. None: all by cosine."""
+    elsewhere it is `direction`, on the other side of the surface where `through`. None: all by cosine. bent (n,): factor in `power`
+    from departing by another cosine than that to the shading normal."""
 
     power: np.ndarray
     normal: np.ndarray
     by_cosine: np.ndarray | None = None
     direction: np.ndarray | None = None
     through: np.ndarray | None = None
+    bent: np.ndarray | None = None
 
     def departure(self, world: World, surface: Surface, alive: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Origins and directions (m, 3) float32 of the survivors `alive` (m,)."""
@@ -191,6 +200,7 @@ def _sampled(
     else:
         towards = np.zeros_like(direction)
     through = np.zeros(len(wo), bool)
+    bent = np.ones(len(wo), np.float32)
     if len(rest):
         drawn = bsdf.sample(lobes.take(rest), rng)
         ng, ns = surface.ng[rest], surface.ns[rest]
@@ -199,11 +209,12 @@ def _sampled(
             # The BSDF holds the cosine to the shading normal; a particle leaves by that to the geometric one.
             leaves = np.abs(np.einsum("ij,ij->i", drawn.wi, ng)) / np.maximum(np.abs(np.einsum("ij,ij->i", drawn.wi, ns)), np.float32(1e-6))
             weight = weight * leaves[:, None]
+            bent[rest] = leaves
         good = np.zeros(len(rest), bool)
         good[leaving(take(surface, rest), drawn)] = True
         out.power[rest] = np.where(good[:, None], arriving[rest] * weight, 0)
         towards[rest], through[rest] = drawn.wi, drawn.through
-    return _Scattered(out.power, out.normal, plain, towards, through)
+    return _Scattered(out.power, out.normal, plain, towards, through, bent)
 
 
 def shading_factor(surface: Surface, direction: np.ndarray) -> np.ndarray:

@@ -71,6 +71,14 @@ def walked(world, points, samples):
 # ---- exact answers
 
 
+@pytest.mark.parametrize("tolerance", [1.0, 0.5])
+@pytest.mark.parametrize("strategy", ["gathering", "shooting"])
+def test_giving_up_early_makes_no_negative_light(strategy, tolerance):
+    b = scenes.cornell(boxes=False)
+    s = solve(ElementReceivers(Elements(World(b), 0.5)), strategy=strategy, tolerance=tolerance)
+    assert s.indirect.min() >= 0 and s.direct.min() >= 0
+
+
 @pytest.mark.parametrize("strategy", ["gathering", "shooting"])
 def test_one_furnace_with_every_bounce(strategy):
     receivers = on_elements(scenes.cube(0.5, 1.0), 0.5)

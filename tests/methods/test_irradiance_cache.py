@@ -134,6 +134,19 @@ def test_index_finds_every_record_that_serves():
     assert expected and expected <= found and len(found) == len(set(found))
 
 
+@pytest.mark.parametrize("accuracy", [0.3, 0.1])
+def test_gradients_are_not_extrapolated_into_fireflies(accuracy):
+    """Close to corners gradients are steep and their records must still reach over the least spacing."""
+    world = World(scenes.cornell(96, 96))
+    receivers = CameraReceivers(world)
+    path = method("path_tracing")
+    *_, last = path.solve(world, receivers, path.Settings(samples=32), np.random.default_rng(5))
+    expected = last.solution().indirect.astype(float)
+    got = bake(world, receivers, rays=64, accuracy=accuracy).indirect.astype(float)
+    assert got.max() < 2 * expected.max()
+    assert got.mean() == pytest.approx(expected.mean(), rel=0.03)
+
+
 def test_camera_and_path_lengths():
     world = World(scenes.cornell(12, 12))
     out = bake(world, CameraReceivers(world, grid=2), rays=64, accuracy=0.5, light_samples=2, max_length=1)

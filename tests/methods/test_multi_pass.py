@@ -10,9 +10,11 @@ from adjgi.adjoint_gi.core import bsdf, gathering, radiance
 from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
 from adjgi.adjoint_gi.core.emitters import Emitters
+from adjgi.adjoint_gi.core.errors import SceneError
 from adjgi.adjoint_gi.core.receivers import CameraReceivers
 from adjgi.adjoint_gi.core.registry import Nature, Strategy, method
 from adjgi.adjoint_gi.core.scene import Color, Light, Lobe, Material
+from adjgi.adjoint_gi.core.schemes import NO_LIMIT
 from adjgi.adjoint_gi.core.world import World
 from adjgi.solvers import load
 from adjgi.tests import scenes
@@ -145,6 +147,35 @@ def test_caustics_of_a_lamp_without_size_come_from_particles():
         ratio.append(s.indirect[2, 0] / s.direct[2, 0])
     assert ratio[0] == pytest.approx(1 / 9, rel=0.1)
     assert ratio[1] < 1e-3
+
+
+@pytest.mark.parametrize("name", ["multi_pass", "two_pass"])
+def test_caustics_count_by_their_length(name):
+    """Light from the lamp over the mirror to the ceiling has flown two segments."""
+    mirror = Material("Mirror", (Lobe("glossy", Color.of(1, 1, 1), 0.0),))
+    b = SceneBuilder()
+    b.quad("Mirror", (-20, -20, 0), (40, 0, 0), (0, 40, 0), mirror)
+    b.quad("Ceiling", (-0.1, -0.1, 2), (0, 0.2, 0), (0.2, 0, 0), diffuse("Ceiling", 0.5))
+    b.light(Light("Lamp", "point", (1.0, 1.0, 1.0), position=(0, 0, 1)))
+    receivers = ElementReceivers(Elements(World(b.build()), 50.0))
+    more = {"gather": True} if name == "two_pass" else {}
+    solver = method(name)
+    found = {}
+    for low, high in ((1, 1), (2, 2), (3, 3), (2, NO_LIMIT), (3, NO_LIMIT)):
+        settings = solver.Settings(min_length=low, max_length=high, particles=200_000, samples=16, rays=16 if more else 1000, **more)
+        *_, last = solver.solve(receivers.elements.world, receivers, settings, np.random.default_rng(0))
+        found[low, high] = float(last.solution().indirect[2, 0])
+    expected = found[2, 2]
+    assert expected > 0
+    assert found[2, NO_LIMIT] == pytest.approx(expected, rel=1e-5)
+    for bounds in ((1, 1), (3, 3), (3, NO_LIMIT)):
+        assert abs(found[bounds]) < 1e-3 * expected, bounds
+
+
+def test_light_that_is_caught_is_refused_by_name():
+    mats = [diffuse("Snow", 1.0)] * 5 + [diffuse("Lamp", 1.0, 1.0)]
+    with pytest.raises(SceneError, match="(Snow|Lamp): reflects all light"):
+        solve(ElementReceivers(Elements(World(scenes.cube(materials=mats)), 0.5)), rays=20_000)
 
 
 def test_same_result_for_any_number_of_threads(monkeypatch):

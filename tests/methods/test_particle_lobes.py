@@ -107,6 +107,34 @@ def test_every_lobe_agrees_with_paths_from_the_receivers(name):
     assert (np.abs(found - paths) < 5 * both).all()
 
 
+WHITE = {
+    "multiscatter metal": (Lobe("metallic", Color.of(1.0), 0.8, multiscatter=True),),
+    "coat": (Lobe("diffuse", Color.of(1.0)), Lobe("specular", Color.of(1.0), 0.5, 1.5)),
+}
+
+
+@pytest.mark.parametrize("name", WHITE)
+def test_what_absorbs_nothing_is_not_said_to(name):
+    """A white box in the open: all light escapes, though sampled lobes make particles weaker and stronger."""
+    b = SceneBuilder()
+    b.box("Box", (0, 0, 0), (1, 1, 1), Material(name, WHITE[name]), inward=False)
+    b.background = (1.0, 1.0, 1.0)
+    world, receivers = on_elements(b.build())
+    balance = solve(world, receivers, 400_000).balance
+    assert balance.gap < 1e-6
+    assert abs(balance.absorbed) < 0.005 * balance.emitted
+
+
+def test_a_radius_in_which_nothing_is_counted_is_named():
+    world = World(scenes.cornell())
+    receivers = SurfaceReceivers("texels", np.arange(3), np.zeros(2, np.int32), np.full(2, 0.2), np.full(2, 0.3))
+    said = {}
+    for radius in (0.0, 1e-7):
+        found = solve(world, receivers, 20_000, score="receivers", radius=radius)
+        said[radius] = [str(w) for w in found.warnings if "counted no particle" in str(w)]
+    assert not said[0.0] and "Raise radius" in said[1e-7][0]
+
+
 def test_bent_normals_of_glossy_surfaces_obey_the_adjoint():
     """A glossy floor with tilted shading normals: what it throws on a wall is the same by particles and by paths."""
     tilt = np.array([math.sin(0.3), 0, math.cos(0.3)])

@@ -12,6 +12,7 @@ from adjgi.adjoint_gi.core.direct import direct_irradiance
 from adjgi.adjoint_gi.core.element_mesh import element_mesh
 from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
 from adjgi.adjoint_gi.core.emitters import Emitters
+from adjgi.adjoint_gi.core.errors import SceneError
 from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.refinement import RefinedElements
 from adjgi.adjoint_gi.core.registry import method
@@ -227,8 +228,8 @@ def test_a_stop_keeps_the_partial_result_and_the_generator_goes_on():
 
 
 def test_albedo_one_ends_by_the_number_of_shots_and_says_so():
-    s = solve(on_elements(scenes.cube(1.0, 1.0), 0.5), rays=10_000, max_shots=500)
-    assert any("stopped after 500 shots" in str(w) for w in s.warnings)
+    s = solve(on_elements(scenes.cube(1.0, 1.0), 0.5), rays=10_000, max_shots=50)
+    assert any("stopped after 50 shots" in str(w) for w in s.warnings)
     assert np.isfinite(s.quantity("irradiance")).all()
     assert s.balance.gap < 1e-9
 
@@ -364,3 +365,12 @@ def test_the_mesh_of_the_elements():
     assert np.array_equal(mesh.start, 4 * np.arange(fine.count + 1))
     # The values are smooth versions of the centroids: near the corners, by less than an element.
     assert np.abs(mesh.values - mesh.vertices[mesh.corners]).max() < 0.25
+
+
+def test_light_that_is_caught_is_refused_by_name():
+    mats = [diffuse("Snow", 1.0)] * 5 + [diffuse("Lamp", 1.0, 1.0)]
+    with pytest.raises(SceneError, match="(Snow|Lamp): reflects all light"):
+        solve(on_elements(scenes.cube(materials=mats), 0.5), rays=20_000)
+    # What loses little goes on to its end.
+    s = solve(on_elements(scenes.cube(0.98, 1.0), 0.5), rays=20_000)
+    assert s.quantity("radiosity")[0::2].mean() == pytest.approx(50, rel=0.02)

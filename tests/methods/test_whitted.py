@@ -313,3 +313,18 @@ def test_same_bits_for_any_number_of_threads(monkeypatch):
         found.append(radiance(world, receivers, contribution=0.02))
     np.testing.assert_array_equal(*found)
     assert found[0].mean() > 0.05
+
+
+def test_many_glass_surfaces_without_a_limit_are_named_and_keep_steps_short():
+    b = SceneBuilder()
+    glass = Material("Glass", (Lobe("glass", Color.of(1), 0.0, 1.5),))
+    for i in range(3):
+        b.box(f"Block{i}", (0, 0, i), (1, 1, i + 0.8), glass, inward=False)
+    b.light(Light("Lamp", "point", (1.0, 1.0, 1.0), position=(0.5, 0.5, 5.0)))
+    b.camera = Camera("perspective", (0.4, 0.3, -3), (1, 0, 0), (0, 1, 0), (0, 0, 1), (-0.2, 0.2, -0.2, 0.2), 4, 4)
+    world = World(b.build())
+    solver = method("whitted")
+    for contribution, depth, named in ((0.0, 12, True), (0.001, 12, False), (0.0, 4, False)):
+        settings = solver.Settings(contribution=contribution, depth=depth)
+        found = list(solver.solve(world, CameraReceivers(world), settings, np.random.default_rng(0)))
+        assert any("doubles the rays" in str(w) for w in found[-1].solution().warnings) == named
