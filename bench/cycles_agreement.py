@@ -32,7 +32,7 @@ if "adjgi" not in sys.modules:
     sys.modules["adjgi"] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(sys.modules["adjgi"])
 from adjgi.adjoint_gi.bridge import demo  # noqa: E402
-from adjgi.adjoint_gi.bridge.cli_bake import leave_edit_mode  # noqa: E402
+from adjgi.adjoint_gi.bridge.cli_open import leave_edit_mode  # noqa: E402
 from adjgi.adjoint_gi.core.png import write_png  # noqa: E402
 from adjgi.tests import baking  # noqa: E402
 

@@ -137,7 +137,7 @@ class ADJOINTGI_OT_write(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Try again."""
         job = jobs.current()
-        job.write()
+        job.write_again()
         for notice in job.notices:
             tell(self, notice)
         return {"CANCELLED"} if job.notices else {"FINISHED"}

@@ -33,7 +33,9 @@ class ADJOINTGI_OT_compare(bpy.types.Operator):
         if bpy.app.background:
             return self.execute(context)
         try:
-            compare_job.start(context, compare_records.request_of(context.scene, context.view_layer), _folder(context))
+            compare_job.start(
+                context, compare_records.request_of(context.scene, context.view_layer), context.scene.adjoint_gi_compare.folder
+            )
         except AdjointError as error:
             tell(self, error.notice)
             return {"CANCELLED"}
@@ -45,7 +47,9 @@ class ADJOINTGI_OT_compare(bpy.types.Operator):
         manager.progress_begin(0, 100)
         try:
             request = compare_records.request_of(context.scene, context.view_layer)
-            job = compare_job.run(context, request, lambda fraction: manager.progress_update(100 * fraction), _folder(context))
+            job = compare_job.run(
+                context, request, lambda fraction: manager.progress_update(100 * fraction), context.scene.adjoint_gi_compare.folder
+            )
         except AdjointError as error:
             tell(self, error.notice)
             return {"CANCELLED"}
@@ -125,11 +129,6 @@ class ADJOINTGI_OT_clear_comparison(bpy.types.Operator):
         compare_records.clear(context.scene.adjoint_gi_compare.result)
         compare_job.forget()
         return {"FINISHED"}
-
-
-def _folder(context: bpy.types.Context) -> str:
-    folder = context.scene.adjoint_gi_compare.folder
-    return bpy.path.abspath(folder) if folder else ""
 
 
 classes = (ADJOINTGI_OT_compare, ADJOINTGI_OT_stop_comparing, ADJOINTGI_OT_show_comparison, ADJOINTGI_OT_clear_comparison)

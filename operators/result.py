@@ -27,7 +27,7 @@ class ADJOINTGI_OT_show_result(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Give the objects a material that emits the result."""
         try:
-            count = results.show(context.scene)
+            count = results.show(context.scene, context.view_layer)
         except AdjointError as error:
             tell(self, error.notice)
             return {"CANCELLED"}

@@ -49,22 +49,22 @@ def choice(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     for spec in compare_records.compared():
         ticks.prop(state, compare_records.switch(spec.id))
     column = layout.column()
-    field(column, state, "budget")
-    field(column, state, {"time": "seconds", "rays": "mega_rays", "error": "error"}[state.budget])
+    field(column, context, state, "budget")
+    field(column, context, state, {"time": "seconds", "rays": "mega_rays", "error": "error"}[state.budget])
     if state.budget != "time":
-        field(column, state, "limit")
+        field(column, context, state, "limit")
     column.separator()
-    field(column, state, "reference")
+    field(column, context, state, "reference")
     for name in {"method": ("reference_method", "reference_seconds"), "cycles": ("cycles_samples",), "constant": ("constant",)}.get(
         state.reference, ()
     ):
-        field(column, state, name)
+        field(column, context, state, name)
     column.separator()
-    field(column, state, "receivers")
-    field(column, state, "resolution")
+    field(column, context, state, "receivers")
+    field(column, context, state, "resolution")
     if state.receivers == "texture":
-        field(column, state, "selection_only")
-    field(column, state, "folder")
+        field(column, context, state, "selection_only")
+    field(column, context, state, "folder")
 
 
 def run(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -74,6 +74,9 @@ def run(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         driver = job.made.driver
         left = f", {text.duration(driver.seconds_left)} left" if driver.seconds_left is not None else ""
         layout.progress(factor=driver.fraction, text=f"{100 * driver.fraction:.0f} %{left}")
+        elsewhere = jobs.elsewhere(job.scene, context.scene)
+        if elsewhere:
+            text.label(layout, context, f"Comparing in scene {elsewhere}", "SCENE_DATA")
         text.label(layout, context, driver.text)
         row = layout.row()
         row.scale_y = 1.4
@@ -83,7 +86,7 @@ def run(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     row = layout.row()
     row.scale_y = 1.4
     row.operator("adjoint_gi.compare")
-    if job is not None and job.notices:
+    if job is not None and job.notices and not jobs.elsewhere(job.scene, context.scene):
         box = layout.box()
         for item in job.notices:
             notice(box, context, item)
@@ -101,7 +104,7 @@ def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         method(layout, context, row, record.unit)
     for line in record.lines.splitlines():
         box = layout.box()
-        loud = line.startswith("DISAGREE")
+        loud = line.startswith(compare_records.LOUD)
         box.alert = loud
         text.label(box, context, line, "ERROR" if loud else "CHECKMARK" if line.startswith("Agree") else "INFO", 1)
     for entry in record.pictures:

@@ -11,6 +11,12 @@ from ..adjoint_gi.bridge.records import Notice
 from . import text
 
 NARROW = 400  # pixels; a sidebar is less wide
+CRAMPED = 260  # pixels; names stand above their values
+OUTPUT = {  # what each target uses
+    "texture": ("target", "quantity", "selection_only", "resolution", "atlas", "uv_layer", "folder"),
+    "attribute": ("target", "quantity", "selection_only", "attribute", "domain", "new_object"),
+    "render": ("target", "folder"),
+}
 ICONS = {"info": "INFO", "warning": "ERROR", "error": "CANCEL"}
 
 
@@ -19,8 +25,9 @@ def choice(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     state = context.scene.adjoint_gi
     column = layout.column()
     column.enabled = not jobs.running()
-    column.row().prop(state, "strategy", expand=True)
-    column.row().prop(state, "nature", expand=True)
+    for name in ("strategy", "nature"):
+        words = [item.name for item in state.bl_rna.properties[name].enum_items]
+        _beside(column, context, words).prop(state, name, expand=True)
     solver = chosen(context.scene)
     if solver is None:
         text.label(layout, context, f"No method is both {state.strategy} and {state.nature}", "INFO")
@@ -42,7 +49,7 @@ def taxonomy(layout: bpy.types.UILayout, context: bpy.types.Context, spec: Metho
     if body:
         column = body.column(align=True)
         for limit in spec.limits:
-            text.label(column, context, limit, "X")
+            text.label(column, context, limit, "X", 1)
 
 
 def settings(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -63,10 +70,7 @@ def _settings(layout: bpy.types.UILayout, context: bpy.types.Context, which: int
     group = getattr(context.scene.adjoint_gi, group_name(solver.spec.id))
     column = layout.column()
     for name in own_and_common(solver)[which]:
-        if context.region and context.region.width > NARROW * context.preferences.system.ui_scale:
-            column.prop(group, name)
-        else:
-            field(column, group, name)
+        _entry(column, context, group, name)
 
 
 def _form(layout: bpy.types.UILayout) -> None:
@@ -76,57 +80,82 @@ def _form(layout: bpy.types.UILayout) -> None:
     layout.enabled = not jobs.running()
 
 
-def field(layout: bpy.types.UILayout, data: bpy.types.PropertyGroup, name: str) -> None:
-    """One property in a narrow region: its name on the left gets half of the width, as Blender's two fifths cut long names off."""
+def _wider(context: bpy.types.Context, pixels: int) -> bool:
+    """Whether the region is wider than that many pixels at Blender's resolution scale of 1."""
+    return bool(context.region) and context.region.width > pixels * context.preferences.system.ui_scale
+
+
+def _beside(layout: bpy.types.UILayout, context: bpy.types.Context, words: list[str]) -> bpy.types.UILayout:
+    """Where buttons with these words go: beside each other, or below each other where that would cut words off."""
+    return layout.row(align=True) if text.fits(context, words, 1 / len(words)) else layout.column(align=True)
+
+
+def _entry(layout: bpy.types.UILayout, context: bpy.types.Context, data: bpy.types.PropertyGroup, name: str) -> None:
+    """One property, placed as the width allows."""
+    if _wider(context, NARROW):  # Blender's own way leaves enough for both
+        layout.prop(data, name)
+    else:
+        field(layout, context, data, name)
+
+
+def field(layout: bpy.types.UILayout, context: bpy.types.Context, data: bpy.types.PropertyGroup, name: str) -> None:
+    """One property in a narrow region."""
     item = data.bl_rna.properties[name]
-    switch = item.type == "BOOLEAN"
-    split = layout.split(factor=0.12 if switch else 0.52)
-    left = split.row()
-    left.alignment = "RIGHT"
-    left.label(text="" if switch else item.name)
+    if item.type == "BOOLEAN":
+        place = layout.column()
+        if _wider(context, CRAMPED):
+            place = place.split(factor=0.12)
+            place.label(text="")
+        place.use_property_split = False
+        place.prop(data, name)
+    else:
+        # A menu has an arrow beside its words; large numbers have as many digits.
+        values = [f"{i.name}    " for i in item.enum_items] if item.type == "ENUM" else ["" if item.type == "STRING" else "0000000000"]
+        _value(layout, context, item.name, values).prop(data, name, text="")
+
+
+def _value(layout: bpy.types.UILayout, context: bpy.types.Context, name: str, values: list[str]) -> bpy.types.UILayout:
+    """Where the value called `name` goes, which may be any of `values`: the name is on the left and gets half of the width, as
+    Blender's two fifths cut long names off, or above where even that is too little for one of them."""
+    if _wider(context, CRAMPED) and text.fits(context, [name], 0.52) and text.fits(context, values, 0.48):
+        split = layout.split(factor=0.52)
+        left = split.row()
+        left.alignment = "RIGHT"
+    else:
+        left = split = layout.column(align=True)
+    left.label(text=name)
     split.use_property_split = False
-    split.prop(data, name, text=item.name if switch else "")
+    return split
 
 
 def output(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What is written, and where to; only what the target uses."""
     state = context.scene.adjoint_gi
     _form(layout)
-    layout.prop(state, "target")
-    if state.target != "render":
-        layout.prop(state, "quantity")
-        layout.prop(state, "selection_only")
     column = layout.column()
-    if state.target == "texture":
-        column.prop(state, "resolution")
-        column.prop(state, "atlas")
+    for name in OUTPUT[state.target]:
         mesh = context.object.data if context.object and context.object.type == "MESH" else None
-        if mesh is not None:
-            column.prop_search(state, "uv_layer", mesh, "uv_layers", icon="GROUP_UVS")
+        if name == "uv_layer" and mesh is not None:
+            place, words = (column, "UV Layer") if _wider(context, NARROW) else (_value(column, context, "UV Layer", []), "")
+            place.prop_search(state, "uv_layer", mesh, "uv_layers", text=words, icon="GROUP_UVS")
         else:
-            column.prop(state, "uv_layer", icon="GROUP_UVS")
-    elif state.target == "attribute":
-        column.prop(state, "attribute")
-        column.prop(state, "domain")
-        solver = chosen(context.scene)
-        made = "New Object (Elements)" if solver is not None and solver.spec.uses_elements else "New Object (Evaluated Mesh)"
-        column.prop(state, "new_object", text=made)
-    if state.target != "attribute":
-        layout.prop(state, "folder")
+            _entry(column, context, state, name)
 
 
 def texels(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What is seldom changed about a texture."""
     _form(layout)
-    layout.prop(context.scene.adjoint_gi, "margin")
-    layout.prop(context.scene.adjoint_gi, "subsamples")
+    column = layout.column()
+    for name in ("margin", "subsamples"):
+        _entry(column, context, context.scene.adjoint_gi, name)
 
 
 def bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What is missing, the buttons, and how far the bake is."""
     job = jobs.current()
+    elsewhere = jobs.elsewhere(job.scene, context.scene) if job is not None else ""
     if job is not None and job.active:
-        _running(layout, job)
+        _running(layout, context, job, elsewhere)
         return
     found = check.cached(context.scene)
     notices = [n for n in found or () if n.severity != "info"]
@@ -139,34 +168,44 @@ def bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     start = row.row(align=True)
     start.enabled = not any(n.severity == "error" for n in notices)
     start.operator("adjoint_gi.bake", icon="RENDER_STILL" if context.scene.adjoint_gi.target == "render" else "NONE")
-    if job is not None and job.state == "stopped" and not job.notices:
+    if job is not None and job.state == "stopped" and not job.notices and not elsewhere:
         row.operator("adjoint_gi.resume")
     if job is None or job.state == "finished" and not job.notices:
         return
-    _ended(layout, context, job)
+    if elsewhere:
+        # Its objects and its panel are in that scene: Continue and Write Result are offered there.
+        if job.state == "stopped":
+            text.label(layout, context, f"Stopped at {100 * job.bake.driver.fraction:.0f} % in scene {elsewhere}", "INFO")
+        elif job.solution is not None:
+            text.label(layout, context, f"A result waits to be written in scene {elsewhere}", "INFO")
+        return
+    _ended(layout, context, job, notices)
 
 
-def _running(layout: bpy.types.UILayout, job: jobs.Job) -> None:
+def _running(layout: bpy.types.UILayout, context: bpy.types.Context, job: jobs.Job, elsewhere: str) -> None:
     driver = job.bake.driver
     left = f", {text.duration(driver.seconds_left)} left" if driver.seconds_left is not None else ""
     layout.progress(factor=driver.fraction, text=f"{100 * driver.fraction:.0f} %{left}")
+    if elsewhere:
+        text.label(layout, context, f"Baking in scene {elsewhere}", "SCENE_DATA")
     column = layout.column(align=True)
-    column.scale_y = 0.8
-    column.label(text=driver.text)
-    column.label(text=f"{text.duration(driver.seconds)}, {text.count(driver.rays)} rays")
+    text.label(column, context, driver.text)
+    text.label(column, context, f"{text.duration(driver.seconds)}, {text.count(driver.rays)} rays")
     row = layout.row()
     row.scale_y = 1.4
     row.enabled = job.state == "running"
     row.operator("adjoint_gi.stop", text="Stop" if job.state == "running" else "Stopping...")
 
 
-def _ended(layout: bpy.types.UILayout, context: bpy.types.Context, job: jobs.Job) -> None:
+def _ended(layout: bpy.types.UILayout, context: bpy.types.Context, job: jobs.Job, said: list[Notice]) -> None:
+    """What became of the bake; `said` is on the panel already."""
     driver = job.bake.driver
     if job.state == "stopped":
         layout.progress(factor=driver.fraction, text=f"Stopped at {100 * driver.fraction:.0f} %")
-    if job.notices:
+    notices = [n for n in job.notices if n not in said]
+    if notices:
         box = layout.box()
-        for item in job.notices:
+        for item in notices:
             notice(box, context, item)
     if job.solution is not None:
         layout.operator("adjoint_gi.write")
@@ -186,7 +225,11 @@ def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     layout.use_property_split = True
     if record.partial:
         text.label(layout, context, "Partial result: the bake was stopped before its end", "ERROR")
-    if not record.applied:
+    # What the Bake panel says of the last bake is not said again.
+    job = jobs.current()
+    said = job.notices if job is not None and not job.active and not jobs.elsewhere(job.scene, context.scene) else []
+    paths = [path for path in record.files.splitlines() if not any(path in item.reason for item in said)]
+    if not record.applied and paths:
         text.label(layout, context, "Kept as a file, not written to the objects", "ERROR")
     rows: list[tuple[str, str]] = [
         ("Method", method_label(record.method)),
@@ -209,26 +252,32 @@ def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     elif record.emitted:
         # A gathering method follows no light from its source, so what becomes of it is not known.
         rows.append(("Emitted", text.watts(record.emitted)))
-    table(layout, rows)
-    warnings = [i.notice() for i in record.notices if i.severity != "info"]
+    table(layout, context, rows)
+    warnings = [i.notice() for i in record.notices if i.severity != "info" and i.notice() not in said]
     if warnings:
         box = layout.box()
         for item in warnings:
             notice(box, context, item)
-    for path in record.files.splitlines():
+    for path in paths:
         text.label(layout, context, path, "FILE_IMAGE")
     if record.target != "render":
-        row = layout.row(align=True)
+        row = _beside(layout, context, ["Show Result", "Restore Materials"])
         row.operator("adjoint_gi.show_result")
         row.operator("adjoint_gi.restore")
     layout.operator("adjoint_gi.clear_results")
 
 
-def table(layout: bpy.types.UILayout, rows: list[tuple[str, str]]) -> None:
-    """Names on the left, values on the right."""
+def table(layout: bpy.types.UILayout, context: bpy.types.Context, rows: list[tuple[str, str]]) -> None:
+    """Names on the left, values on the right; lines that are broken where that would cut words off."""
     column = layout.column(align=True)
-    column.scale_y = 0.85
+    beside = text.fits(context, [r[0] for r in rows], 0.45) and text.fits(context, [r[1] for r in rows], 0.55)
+    if beside:
+        column.scale_y = 0.85
     for name, value in rows:
+        if not beside:
+            whole = f"{name}: {value}"
+            text.label(column, context, whole if text.fits(context, [whole]) else f"{name}:\n{value}")
+            continue
         split = column.split(factor=0.45)
         split.label(text=name)
         split.label(text=value)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import blf
 import bpy
@@ -35,15 +35,29 @@ def wrap(text: str, width: float, measure: Callable[[str], float]) -> list[str]:
 
 def label(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE", indent: float = 0.0) -> None:
     """Draw `text` as labels that fill the region's width; `indent` is what boxes and icons around it take, in widget units."""
-    system = context.preferences.system
-    unit = 20.0 * system.ui_scale
-    taken = 2.6 + indent + (1.2 if icon != "NONE" else 0.0)
-    width = (context.region.width if context.region else 300) - taken * unit
+    unit = _unit(context)
+    width = room(context) - (indent + (1.2 if icon != "NONE" else 0.0)) * unit
     column = layout.column(align=True)
     column.scale_y = 0.8
     for i, line in enumerate(wrap(text, max(width, 4 * unit), _measure(context))):
         # Lines below the icon are moved by a blank one of the same size.
         column.label(text=line, icon=icon if i == 0 else ("BLANK1" if icon != "NONE" else "NONE"))
+
+
+def room(context: bpy.types.Context) -> float:
+    """Width in pixels that a panel of the region leaves for text."""
+    return (context.region.width if context.region else 300) - 2.6 * _unit(context)
+
+
+def fits(context: bpy.types.Context, words: Iterable[str], share: float = 1.0) -> bool:
+    """Whether each of `words` can be read on a button or as a name that gets `share` of the width."""
+    widest = max(map(_measure(context), words), default=0.0)
+    return widest + 0.8 * _unit(context) <= share * room(context)
+
+
+def _unit(context: bpy.types.Context) -> float:
+    """Height of a button in pixels."""
+    return 20.0 * context.preferences.system.ui_scale
 
 
 def _measure(context: bpy.types.Context) -> Callable[[str], float]:

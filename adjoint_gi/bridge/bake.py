@@ -11,6 +11,7 @@ Everything here belongs on the main thread; only the driver's own thread compute
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -34,7 +35,7 @@ from ..core.scene import SceneArrays
 from ..core.solution import Solution
 from ..core.vertices import VertexMap, vertex_receivers
 from ..core.world import World
-from . import files, report, targets
+from . import files, outputs, preview, report, targets
 from .extract import extract
 from .lightmap_uv import check_uv_layer, find_uv_layer, make_lightmap_uv, remove_lightmap_uv
 from .pictures import exposure, write_picture
@@ -42,7 +43,7 @@ from .preflight import has_own_layer, inspect, look, ordered, picture_size, pref
 from .request import BakeRequest, raise_first
 from .write_attribute import write_attribute
 from .write_elements import write_elements
-from .write_image import write_image
+from .write_image import linked_image, write_image
 
 __all__ = ["Bake", "BakeRequest", "preflight"]
 
@@ -81,8 +82,11 @@ class Bake:
         raise_first(notices)
         arrays = self._extract(context)
         world = World(arrays)
-        notices = ordered([*notices, *inspect(world, request)])
+        taken = outputs.problems(request, arrays, receiving(arrays, request), self.scene_name)
+        notices = ordered([*notices, *inspect(world, request), *taken])
         raise_first(notices)
+        if request.output:
+            files.output_folder(request.output)  # only writing there tells whether it can be done
 
         # Step 2: UV layers that are missing are made; then the scene has to be read again.
         if request.target == "texture" and not request.uv_layer and self._make_layers(context, world):
@@ -107,12 +111,20 @@ class Bake:
         """Write `solution` where it was asked for and read it back; returns the names of datablocks and paths of files.
 
         While the driver runs, only datablocks are refreshed. A partial result is labelled so, in file names too. Raises
-        `TargetError` or `WriteError`.
+        `TargetError` or `WriteError`; where only the files failed, the datablocks are written all the same, and `written` names them.
         """
         live = self.driver.state == "running"
-        folder = files.output_folder(self.request.output) if self.request.output and not live else None
-        write = {"texture": self._write_textures, "attribute": self._write_attributes, "render": self._write_picture}
-        datablocks, paths = write[self.request.target](solution, folder)
+        write = {"texture": self._write_textures, "attribute": self._write_attributes, "render": self._write_picture}[self.request.target]
+        wanted = not live and (self.request.output or self.request.target == "render")
+        self.written, self.files = [], []
+        try:
+            folder = files.output_folder(self.request.output) if wanted else None
+            datablocks, paths = write(solution, folder)
+        except AdjointError:
+            if wanted:
+                with contextlib.suppress(AdjointError):  # the first error is the one that is told
+                    self.written = write(solution, None)[0]
+            raise
         self.files = [str(p) for p in paths]
         self.written = [*datablocks, *self.files]
         return self.written
@@ -195,7 +207,7 @@ class Bake:
         layer_of = dict(zip(group, layers, strict=True))
         lightmap = rasterize(world, group, layer_of, request.resolution, request.subsamples, placement)
         self.notices += lightmap.warnings
-        name = f"{self.scene_name} atlas" if request.atlas else objects[0].source
+        name = outputs.title(request, self.scene_name, objects[0].source)
         by_name = {world.scene.objects[i].source: p for i, p in placement.items()}
         return Sheet(name, uids, lightmap, slice(0), tuple(layers), by_name)
 
@@ -209,14 +221,16 @@ class Bake:
         for sheet in self._sheets:
             objects = find_objects(sheet.uids, sheet.name)
             image, coverage = sheet_image(sheet, values, solution.weight, self.request.margin)
-            stem = f"{sheet.name} {quantity}{' partial' if solution.partial else ''}"
+            wanted = f"{sheet.name} {quantity}"
+            stem = outputs.stem(self.request, sheet.name, solution.partial)
             file = files.output_file(folder, stem, ".exr") if folder else None
+            before = linked_image(objects[0], quantity)
             made = write_image(
                 objects,
                 quantity,
                 image,
                 coverage,
-                name=f"{sheet.name} {quantity}",
+                name=wanted,
                 uv_layer=sheet.uv_layers[0],
                 placement=sheet.placement,
                 file=file,
@@ -225,12 +239,15 @@ class Bake:
             made[ABOUT] = self._about(solution)
             for obj, layer in zip(objects, sheet.uv_layers, strict=True):
                 targets.link(obj, quantity)["uv_layer"] = layer  # in an atlas they may have other names
+                preview.follow(obj, quantity)
+            if made != before and bpy.data.images.get(wanted, made) != made:
+                self._tell(Notice(sheet.name, f'another image is called "{wanted}", so the result is in "{made.name}"', "", "info"))
             datablocks.append(f"image {made.name}")
             if folder:
                 layers = {"coverage": coverage}
                 for name in ("emitted", "direct", "indirect", "albedo"):
                     layers[name] = sheet_image(sheet, getattr(solution, name), solution.weight, self.request.margin)[0]
-                parts = files.output_file(folder, stem + " components", ".exr")
+                parts = files.output_file(folder, stem + outputs.COMPONENTS, ".exr")
                 write_exr(
                     parts, np.concatenate([image, coverage[..., None]], axis=2), layers, folder=folder, metadata=self._metadata(solution)
                 )
@@ -259,6 +276,8 @@ class Bake:
                 found = self._vertices.spread(index, values), self._vertices.spread(index, valid)[:, 0]
                 written = write_attribute(*where, *found, **how, new_object=self.request.new_object)
             written.object.data[ABOUT] = self._about(solution)
+            self._tell(written.taken)
+            preview.follow(written.object, self.request.quantity, written.attribute)
             datablocks.append(f"attribute {written.attribute} of {written.object.name}")
         return datablocks, []
 
@@ -266,8 +285,13 @@ class Bake:
         """An EXR with all passes and a PNG to look at; while the solve runs there is nowhere to write to."""
         if folder is None:
             return [], []
-        stem = f"{self.scene_name} {self.request.method}{' partial' if solution.partial else ''}"
+        stem = outputs.stem(self.request, self.scene_name, solution.partial)
         return [], write_picture(self.driver, solution, self.transparent, folder, stem, self._metadata(solution))
+
+    def _tell(self, notice: Notice | None) -> None:
+        """Add what was found while writing; once, however often a partial result is written."""
+        if notice is not None and notice not in self.notices:
+            self.notices.append(notice)
 
     def _about(self, solution: Solution) -> str:
         return json.dumps(self._metadata(solution))

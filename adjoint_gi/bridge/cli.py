@@ -18,7 +18,7 @@ import bpy
 
 from ... import solvers
 from ..core.errors import AdjointError, WriteError
-from . import cli_bake, cli_compare, cli_demo, cli_methods
+from . import cli_bake, cli_compare, cli_demo, cli_methods, cli_open
 from .cli_arguments import make_parser
 from .cli_progress import say_notices
 
@@ -44,13 +44,13 @@ def main(arguments: Sequence[str], in_blender: bool) -> int:
     except SystemExit as error:  # argparse has printed its message
         return error.code if isinstance(error.code, int) else REFUSED
     except KeyboardInterrupt:
-        print("interrupted before there was a result", file=sys.stderr)
+        print("interrupted before a result was written", file=sys.stderr)
         return INTERRUPTED
     except WriteError as error:
         say_notices([error.notice])
         return FAILED
     except AdjointError as error:
-        say_notices([error.notice])
+        say_notices([error.notice, *error.others])
         return REFUSED
     except Exception:
         traceback.print_exc()
@@ -76,12 +76,14 @@ def _command(arguments: list[str]) -> int:
 def register() -> None:
     """Add the command to Blender."""
     global _handle
+    cli_open.register()
     _handle = bpy.utils.register_cli_command("adjoint_gi", _command)
 
 
 def unregister() -> None:
     """Take it back."""
     global _handle
+    cli_open.unregister()
     if _handle is not None:
         bpy.utils.unregister_cli_command(_handle)
         _handle = None

@@ -14,13 +14,15 @@ import bpy
 from ..core.atomic import check_target, replace_file
 from ..core.errors import AdjointError, MemoryRefused, Notice, SceneError, TargetError, WriteError
 from ..core.resources import peak_memory, size_text
-from . import files
+from ..core.solution import Solution
+from . import files, kept
 from .bake import ABOUT, Bake, preflight
 from .cli_arguments import request_of, use_threads
+from .cli_open import open_scene
 from .cli_progress import Progress, say_notices, seconds_text
 from .request import BakeRequest
 
-INTERRUPTED = 130
+FAILED, INTERRUPTED = 1, 130
 
 
 def bake(options: argparse.Namespace) -> int:
@@ -39,12 +41,14 @@ def bake(options: argparse.Namespace) -> int:
         if failure is not None:
             raise failure
         raise KeyboardInterrupt
-    for name in made.write(solution):
-        print(f"wrote {name}")
-    if options.save_blend:
-        made.files.append(save_blend(Path(options.save_blend)))
-        made.written.append(made.files[-1])
-        print(f"wrote {made.files[-1]}")
+    told = len(made.notices)
+    try:
+        write(made, solution, options.save_blend)
+    except AdjointError as error:
+        say_notices([error.notice])
+        say_notices([Notice("Result", f"is kept in {kept.save(solution)}", "Read it with numpy.load", "warning")])
+        return FAILED
+    say_notices(made.notices[told:])
     if options.report:
         print(f"wrote {write_report(Path(options.report), made.report())}")
     print(summary(made))
@@ -53,7 +57,7 @@ def bake(options: argparse.Namespace) -> int:
             say_notices([failure.notice])
         else:
             say_notices([Notice("Solver", f"failed with {type(failure).__name__}: {failure}", "The partial result was written", "error")])
-        return 1
+        return FAILED
     return INTERRUPTED if solution.partial else 0
 
 
@@ -83,6 +87,26 @@ def solve(made: Bake) -> BaseException | None:
     return None
 
 
+def write(made: Bake, solution: Solution, blend: str | None) -> None:
+    """Write the result, and save the scene with it as `blend`; raises `AdjointError` when not all of it was written.
+
+    Where only files could not be written the scene holds the result all the same, so it is saved.
+    """
+    problem = None
+    try:
+        made.write(solution)
+    except AdjointError as error:
+        problem = error
+    if blend and (made.written or problem is None):
+        made.files.append(save_blend(Path(blend)))
+        made.written.append(made.files[-1])
+    if blend or problem is None:
+        for name in made.written:
+            print(f"wrote {name}")
+    if problem is not None:
+        raise problem
+
+
 def summary(made: Bake) -> str:
     """The last line: what, how long, how many rays, how much memory."""
     driver, solution = made.driver, made.driver.solution()
@@ -92,37 +116,6 @@ def summary(made: Bake) -> str:
         text += f", energy gap {100 * solution.balance.gap:.2g} %"
     peak = peak_memory()
     return text + (f", peak memory {size_text(peak)}" if peak is not None else "")
-
-
-def open_scene(options: argparse.Namespace) -> None:
-    """Open the named file, if any, and make it ready; raises `TargetError` when that cannot be done."""
-    if options.scene:
-        open_file(options.scene)
-    leave_edit_mode()
-
-
-def open_file(scene: str) -> None:
-    """Open a .blend file without its window layout; raises `TargetError`."""
-    path = Path(scene).absolute()
-    if not path.is_file():
-        raise TargetError(str(path), "does not exist", "Name a .blend file")
-    try:
-        # Scripts in a file from elsewhere are not run.
-        bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
-    except RuntimeError as error:
-        raise TargetError(str(path), f"cannot be opened ({str(error).strip()})", "Name a .blend file that this Blender can read") from None
-
-
-def leave_edit_mode() -> None:
-    """Leave edit mode on every object: a file may have been saved in it, and here is nobody who could leave it by hand."""
-    layer = bpy.context.view_layer
-    layer.update()  # after a removal the list of objects has a hole until then
-    for obj in layer.objects:
-        if obj.mode == "EDIT":
-            active, layer.objects.active = layer.objects.active, obj
-            bpy.ops.object.mode_set(mode="OBJECT")
-            layer.objects.active = active
-            say_notices([Notice(obj.name, "was in edit mode, which has been left", "", "info")])
 
 
 def require_place(options: argparse.Namespace, request: BakeRequest) -> None:

@@ -9,18 +9,18 @@ from pathlib import Path
 import bpy
 
 from ..core.comparison import STATES
-from ..core.errors import TargetError
+from ..core.errors import AdjointError, Notice, TargetError
 from ..core.page import best_text, percent
 from ..core.run_comparison import Result
 from . import files
 from .cli_arguments import use_threads
-from .cli_bake import open_scene
+from .cli_open import open_scene
 from .cli_progress import Progress, say_notices, seconds_text
 from .compare import Compare
 from .compare_arguments import request_of
-from .compare_files import write_files
+from .compare_files import check_files, keep_files, write_files
 
-INTERRUPTED = 130
+FAILED, INTERRUPTED = 1, 130
 
 
 def compare(options: argparse.Namespace) -> int:
@@ -29,6 +29,7 @@ def compare(options: argparse.Namespace) -> int:
     request = request_of(options)
     open_scene(options)
     folder = files.output_folder(str(Path(options.output).absolute()))
+    check_files(request, folder)
     made = Compare(bpy.context, request)
     say_notices(made.notices)
     progress = Progress("Comparison")
@@ -42,14 +43,24 @@ def compare(options: argparse.Namespace) -> int:
         if made.driver.state != "finished":
             raise KeyboardInterrupt
         raise TargetError("Comparison", "no method took part", "Choose others, or see the reasons above")
-    for path in write_files(made, result, folder):
+    problem = None
+    try:
+        paths = write_files(made, result, folder)
+    except AdjointError as error:
+        problem = error.notice
+        say_notices([problem])
+        paths = keep_files(made, result)
+        say_notices([Notice("Result", f"is kept in {paths[0].parent}", "", "warning")])
+    for path in paths:
         print(f"wrote {path}")
     for line in table(result):
         print(line)
+    if problem is not None:
+        return FAILED
     if result.partial:
         return INTERRUPTED
     # A method that could not take part is a result; one that crashed is not.
-    return 1 if any(n.severity == "error" for n in result.refused) else 0
+    return FAILED if any(n.severity == "error" for n in result.refused) else 0
 
 
 def table(result: Result) -> list[str]:
@@ -61,4 +72,6 @@ def table(result: Result) -> list[str]:
     lines += [f"not compared: {n}" for n in result.refused]
     lines.append(best_text(result))
     lines += result.agreement.lines if result.agreement is not None else ()
+    if result.partial:
+        lines.append("The comparison was stopped before its end: what was written is a partial result.")
     return lines

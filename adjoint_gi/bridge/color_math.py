@@ -19,12 +19,18 @@ class NotPolynomial(ValueError):
 
 def simplified(color: Color) -> Color:
     """Merge terms with the same sources; raises `NotPolynomial` when too many are left."""
+    out = combined(color)
+    if len(out.terms) > LARGEST_POLYNOMIAL:
+        raise NotPolynomial("it has too many terms")
+    return out
+
+
+def combined(color: Color) -> Color:
+    """Terms with the same sources added up, however many are left."""
     merged: dict[tuple[Source, ...], np.ndarray] = {}
     for term in color.terms:
         key = tuple(sorted(term.sources, key=repr))
         merged[key] = merged.get(key, np.zeros(3)) + np.array(term.constant)
-    if len(merged) > LARGEST_POLYNOMIAL:
-        raise NotPolynomial("it has too many terms")
     return Color(tuple(Term(rgb(c), s) for s, c in merged.items() if c.any() or not s))
 
 

@@ -27,9 +27,12 @@ from .bake import Bake
 from .cycles_reference import bake_reference
 from .extract_camera import render_size
 from .request import RECEIVERS, BakeRequest
+from .results import put_aside
 
 PLACES = ("texture", "camera")
 LIGHT_ONLY = "light"
+PICTURES = ("side by side", "differences", "error over time", "histogram")  # all but the first need a reference
+FEWEST, MOST = 2, 1 << 20  # samples of a Cycles reference, which is baked in two halves
 SHOWN = 220  # pixels that the longer side of one picture gets at least
 LONGEST = 900  # and no more
 
@@ -52,14 +55,20 @@ class ReferenceChoice:
             if text == "none":
                 return cls("none")
             if head == "cycles":
-                return cls("cycles", samples=int(rest) if rest else cls.samples)
+                samples = int(rest) if rest else cls.samples
+                if not FEWEST <= samples <= MOST:
+                    raise SettingsError("--reference", f"{samples} samples are not possible", f"Give Cycles {FEWEST} to {MOST:,} samples")
+                return cls("cycles", samples=samples)
             if text.startswith("constant="):
                 value = tuple(float(v) for v in text.partition("=")[2].split(","))
                 if len(value) in (1, 3) and all(math.isfinite(v) for v in value):
                     return cls("constant", value=value)
             else:
                 registry.method(head)
-                return cls("method", head, float(rest) if rest else 0.0)
+                seconds = float(rest) if rest else cls.seconds
+                if rest and not (math.isfinite(seconds) and seconds > 0):
+                    raise SettingsError("--reference", f"{rest} seconds are not possible", "Give a number above 0, or none for the default")
+                return cls("method", head, seconds)
         except ValueError:
             pass
         remedy = "Write METHOD, METHOD:SECONDS, cycles, cycles:SAMPLES, constant=VALUE, constant=R,G,B or none"
@@ -87,6 +96,8 @@ class CompareRequest:
         for name in named:
             registry.method(name)
         r = self.reference
+        if self.budget.kind == "error" and r.kind == "none":
+            raise SettingsError("budget", "an error needs a reference, and none is chosen", "Choose a reference, or another budget")
         seconds = r.seconds or 4 * self.budget.seconds
         return Plan(named, self.budget, r.method if r.kind == "method" else "", seconds, self.settings, self.repeats, self.seed)
 
@@ -117,7 +128,8 @@ class Compare:
             reference = constant_reference(request.reference.value, receivers.count)
         elif request.reference.kind == "cycles":
             longest = max((s.max_length for s in plan.settings.values()), default=Settings().max_length)
-            reference = bake_reference(context, world, self.sheets, receivers.count, request.reference.samples, longest)
+            with put_aside(context.scene, context.view_layer):
+                reference = bake_reference(context, world, self.sheets, receivers.count, request.reference.samples, longest)
             self.notices += reference.notices
         self.driver = Driver(Comparison(reference), world, receivers, plan)
 
@@ -155,21 +167,22 @@ class Compare:
             shown, captions = [target, *images], ["Reference", *labels]
         exposure = figures.exposure_for(shown[0] if reference is not None else images[0])
         anything = np.any([e.solution.weight > 0 for e in entries], axis=0).astype(np.float32)
-        out = {"side by side": figures.side_by_side(shown, captions, exposure, self.picture(anything)[..., 0] > 0)}
+        side, differences, curve, histogram = PICTURES
+        out = {side: figures.side_by_side(shown, captions, exposure, self.picture(anything)[..., 0] > 0)}
         if reference is None:
             return out
         valid = self.picture(reference.valid.astype(np.float32))[..., 0] > 0
         mean = max(reference.mean, 1e-30)
         errors = [_relative(e.solution, reference, mean) for e in entries]
         limit = figures.round_limit(float(np.median([np.percentile(np.abs(x), 95) if len(x) else 0.0 for x in errors])))
-        out["differences"] = figures.differences(images, target, valid, labels, limit * mean, mean)
+        out[differences] = figures.differences(images, target, valid, labels, limit * mean, mean)
         curves = [
             Curve(e.label, np.array([(p.seconds, 100 * p.error) for p in e.curve if p.error is not None], float).reshape(-1, 2))
             for e in entries
         ]
         floor = 100 * reference.noise if reference.noise else None
-        out["error over time"] = figures.plot(curves, "seconds", "relative RMSE, %", floor=floor)
-        out["histogram"] = figures.histogram(errors, labels, 2 * limit)
+        out[curve] = figures.plot(curves, "seconds", "relative RMSE, %", floor=floor)
+        out[histogram] = figures.histogram(errors, labels, 2 * limit)
         return out
 
 

@@ -4,17 +4,33 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import bpy
 
-from ..core import page
-from ..core.atomic import replace_file
+from ..core import page, png
+from ..core.atomic import check_target, replace_file
 from ..core.png import write_png
 from ..core.run_comparison import Result
-from .compare import Compare
+from . import kept
+from .compare import PICTURES, Compare, CompareRequest
 from .report import versions
+
+PAGE, DATA = "index.html", "compare.json"
+
+
+def check_files(request: CompareRequest, folder: Path) -> None:
+    """Raise TargetError when one of the files to be written is there and not ours."""
+    pictures = PICTURES if request.reference.kind != "none" else PICTURES[:1]
+    for name, ours in {PAGE: is_page, DATA: is_json, **{_file(p): png.is_ours for p in pictures}}.items():
+        check_target(folder / name, folder, ours)
+
+
+def keep_files(made: Compare, result: Result) -> list[Path]:
+    """Write all into a new folder of our own, when it could not be written where it was meant to go."""
+    return write_files(made, result, Path(tempfile.mkdtemp(prefix="compare_", dir=kept.folder())))
 
 
 def write_files(made: Compare, result: Result, folder: Path) -> list[Path]:
@@ -33,11 +49,11 @@ def write_files(made: Compare, result: Result, folder: Path) -> list[Path]:
     text = page.page(title, result, pictures, made.notices, facts).encode()
     data = page.as_json(result, made.notices) | {"scene": dict(facts), "versions": known}
     out = [
-        _write(folder / "index.html", folder, text, is_page),
-        _write(folder / "compare.json", folder, json.dumps(_finite(data), indent=1, allow_nan=False).encode(), is_json),
+        _write(folder / PAGE, folder, text, is_page),
+        _write(folder / DATA, folder, json.dumps(_finite(data), indent=1, allow_nan=False).encode(), is_json),
     ]
     for name, picture in pictures.items():
-        out.append(write_png(folder / (name.replace(" ", "_") + ".png"), page.decoded(picture), folder=folder))
+        out.append(write_png(folder / _file(name), page.decoded(picture), folder=folder))
     return out
 
 
@@ -57,6 +73,10 @@ def is_json(path: Path) -> bool:
         return isinstance(found, dict) and found.get("generator") == page.GENERATOR
     except (OSError, ValueError):
         return False
+
+
+def _file(picture: str) -> str:
+    return picture.replace(" ", "_") + ".png"
 
 
 def _write(path: Path, folder: Path, data: bytes, ours: Any) -> Path:

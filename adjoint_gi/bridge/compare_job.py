@@ -14,7 +14,7 @@ from ..core.errors import AdjointError, Notice
 from ..core.run_comparison import Result
 from . import compare_records, files, jobs, preferences
 from .compare import Compare, CompareRequest
-from .compare_files import write_files
+from .compare_files import check_files, write_files
 
 POLL = jobs.POLL
 STOP = jobs.STOP
@@ -26,6 +26,8 @@ class CompareJob:
     def __init__(self, context: bpy.types.Context, request: CompareRequest, folder: str = "") -> None:
         self.scene = context.scene.session_uid
         self.folder = files.output_folder(folder) if folder else None
+        if self.folder is not None:
+            check_files(request, self.folder)
         layers = sum(len(m.uv_layers) for m in bpy.data.meshes)
         self.made = Compare(context, request)
         if sum(len(m.uv_layers) for m in bpy.data.meshes) != layers:
@@ -60,13 +62,16 @@ class CompareJob:
         try:
             if self.folder is not None and result.entries:
                 paths = [str(p) for p in write_files(self.made, result, self.folder)]
+        except AdjointError as error:  # the scene gets the result all the same
+            self.notices = [error.notice]
+        try:
             if scene is None:
                 raise AdjointError("Scene", "was deleted while methods were compared", "Compare again")
             record = scene.adjoint_gi_compare.result
             compare_records.store(record, result, self.made.notices, paths)
             compare_records.store_pictures(record, self.made.pictures(result))
         except AdjointError as error:
-            self.notices = [error.notice]
+            self.notices = [*self.notices, error.notice]
         if scene is not None:
             jobs.push_undo("Adjoint GI Comparison")
 

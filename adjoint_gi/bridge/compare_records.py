@@ -13,14 +13,17 @@ import numpy as np
 
 from ... import solvers
 from ..core import registry
+from ..core.agreement import LOUD  # noqa: F401  for the panel
 from ..core.comparison import STATES, Budget
 from ..core.errors import Notice, SettingsError
 from ..core.page import best_text, gap_of
 from ..core.registry import MethodSpec
 from ..core.run_comparison import Result
+from . import results
 from .compare import LIGHT_ONLY, CompareRequest, ReferenceChoice
 from .properties import settings_of
 from .records import ADJOINTGI_PG_notice
+from .versions import FOLDER
 
 BUDGETS = (
     ("time", "Equal Time", "Every method computes for as long", 0),
@@ -113,7 +116,11 @@ class Choice:
         name="Resolution", description="Texels a side, or pixels along the longer side", default=32, min=4, max=4096, soft_max=256
     )
     folder: bpy.props.StringProperty(
-        name="Folder", description="Where a page, JSON and PNG files are saved. Empty: nowhere", default="", subtype="DIR_PATH"
+        name="Folder",
+        description="Where a page, JSON and PNG files are saved. Empty: nowhere",
+        default="",
+        subtype="DIR_PATH",
+        options=FOLDER,
     )
     result: bpy.props.PointerProperty(type=ADJOINTGI_PG_compare_result)
 
@@ -134,9 +141,9 @@ def request_of(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Compa
     methods = tuple(spec.id for spec in compared() if getattr(state, switch(spec.id)))
     if not methods:
         raise SettingsError("Methods", "none is ticked", "Tick at least one")
-    objects = tuple(o.name for o in view_layer.objects.selected if o.type == "MESH") if state.selection_only else ()
+    objects = results.selected(view_layer) if state.selection_only else ()
     if state.selection_only and not objects and state.receivers == "texture":
-        raise SettingsError("Selected Only", "is on, but no mesh object is selected", "Select some, or turn it off")
+        raise SettingsError("Selected Only", *results.nothing_selected(view_layer))
     value = {"time": state.seconds, "rays": 1e6 * state.mega_rays, "error": state.error}[state.budget]
     limit = max(state.limit, state.seconds) if state.budget == "time" else state.limit
     reference = ReferenceChoice(

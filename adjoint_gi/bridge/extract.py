@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import bpy
 
 from ..core.scene import SceneArrays
@@ -12,6 +14,7 @@ from .extract_lights import read_lights
 from .extract_materials import Materials
 from .extract_notices import Notices
 from .extract_world import read_world
+from .results import unhidden
 from .versions import working_space_notice
 
 
@@ -22,8 +25,13 @@ def extract(depsgraph: bpy.types.Depsgraph, scene: bpy.types.Scene | None = None
     the render settings for the camera. What could not be taken as it is stands in `warnings`; a scene in which there is
     nothing to compute gives a notice of severity "error" and empty arrays. Call it on the main thread.
     """
+    # A depsgraph of a render lists what is hidden in the viewport anyway.
+    with unhidden(depsgraph.view_layer) if depsgraph.mode == "VIEWPORT" else contextlib.nullcontext():
+        return _extract(depsgraph, scene or depsgraph.scene_eval, resolution)
+
+
+def _extract(depsgraph: bpy.types.Depsgraph, scene: bpy.types.Scene, resolution: tuple[int, int] | None) -> SceneArrays:
     notices = Notices()
-    scene = scene or depsgraph.scene_eval
     working_space_notice(notices)
 
     # Step 1: copy meshes, materials and lamps while walking over the instances (temporary objects die after the walk).
@@ -38,7 +46,7 @@ def extract(depsgraph: bpy.types.Depsgraph, scene: bpy.types.Scene | None = None
 
     # Step 3: what is not geometry.
     lights = read_lights(walk.lights, notices)
-    background = read_world(scene.world, materials.colors, notices)
+    background = read_world(depsgraph.view_layer.world_override or scene.world, materials.colors, notices)
     camera = read_camera(scene, depsgraph, resolution, notices)
 
     if not placed.objects:

@@ -33,9 +33,19 @@ class Colors:
     def __init__(self, images: Images, notices: Notices) -> None:
         self.images = images
         self.notices = notices
-        self.owner = ""
         self.uses_default_attribute = False
+        self.owner = ""
         self._depth = 0
+
+    @property
+    def owner(self) -> str:
+        """Name of what is being read."""
+        return self._owner
+
+    @owner.setter
+    def owner(self, name: str) -> None:
+        self._owner = name
+        self._known: dict[Place, Color] = {}  # outputs already read: a node that feeds two inputs is read once
 
     def color(self, place: Place) -> Color:
         """The colour at an input socket."""
@@ -90,7 +100,7 @@ class Colors:
             self._depth += 1
             try:
                 found = follow(place)
-                out = simplified(self._output(found)) if found.socket.is_output else self._default(found)
+                out = self._once(found) if found.socket.is_output else self._default(found)
             finally:
                 self._depth -= 1
             return self._grey(out, found, place) if grey else out
@@ -116,6 +126,12 @@ class Colors:
         if found.socket.type == "VECTOR" and color.is_constant:
             return Color.of(sum(color.constant) / 3.0)
         return color
+
+    def _once(self, place: Place) -> Color:
+        """The simplified polynomial of a node's output, from memory when it was read before."""
+        if place not in self._known:
+            self._known[place] = simplified(self._output(place))
+        return self._known[place]
 
     def _output(self, place: Place) -> Color:
         """The polynomial of a node's output; raises `Unknown` or `NotPolynomial`."""
@@ -152,14 +168,16 @@ class Colors:
 
     def _image(self, node: bpy.types.Node, place: Place) -> Color:
         """Image Texture: a lookup through a UV layer, or the mean of the image where the coordinates are others."""
-        image = node.image
         alpha = place.socket.name == "Alpha"
-        if image is None:
+        if node.image is None:
             self.skip(place, "has no image", "black is used, as in Cycles", "Choose an image")
             return Color.of(0.0)
         straight = any(o.name == "Alpha" and o.is_linked for o in node.outputs)
+        if node.interpolation not in ("Closest", "Linear"):
+            text = f'node "{node.name}" has {node.interpolation.lower()} interpolation; it is computed as linear'
+            self.notices.add(self.owner, text, "Choose linear", "info")
         interpolation = "Closest" if node.interpolation == "Closest" else "Linear"
-        index = self.images.read(image, node.extension, interpolation, straight)
+        index = self.images.read(node, node.extension, interpolation, straight)
         if index is None:
             return Color.of(1.0) if alpha else Color.of(*MEAN_OF_NOTHING[:3])
         try:
@@ -178,7 +196,7 @@ class Colors:
         if node.image is None:
             self.skip(place, "has no image", "black is used", "Choose an image")
             return Color.of(0.0)
-        index = self.images.read(node.image, "REPEAT", "Linear", False)
+        index = self.images.read(node, "REPEAT", "Linear", False)
         if index is None:
             return Color.of(*MEAN_OF_NOTHING[:3])
         pixels = self.images.textures[index].pixels
@@ -255,20 +273,20 @@ class Colors:
             return color
 
     def _separate(self, node: bpy.types.Node, place: Place) -> Color:
-        """Separate Color by red, green and blue."""
+        """Separate Color by red, green and blue, and the old Separate RGB, whose outputs are called R, G and B."""
         if getattr(node, "mode", "RGB") != "RGB":
             raise Unknown(f'node "{node.name}" separates a colour by {node.mode}')
-        channel = ("Red", "Green", "Blue").index(place.socket.name)
+        channel = "RGB".index(place.socket.name[0])
         main = next(iter(inputs(place).values()))
         return mapped(self.color(main), lambda c: np.repeat(c[:, channel : channel + 1], 3, axis=1), ("channel", channel), self.images)
 
     def _combine(self, node: bpy.types.Node, place: Place) -> Color:
-        """Combine Color by red, green and blue."""
+        """Combine Color by red, green and blue, and the old Combine RGB, whose inputs are called R, G and B."""
         if getattr(node, "mode", "RGB") != "RGB":
             raise Unknown(f'node "{node.name}" combines a colour by {node.mode}')
         out = Color()
-        sockets = inputs(place)
-        for name, unit in (("Red", (1.0, 0.0, 0.0)), ("Green", (0.0, 1.0, 0.0)), ("Blue", (0.0, 0.0, 1.0))):
+        sockets = {name[0]: socket for name, socket in inputs(place).items()}
+        for name, unit in (("R", (1.0, 0.0, 0.0)), ("G", (0.0, 1.0, 0.0)), ("B", (0.0, 0.0, 1.0))):
             out = out + self.value(sockets[name]) * Color.of(*unit)
         return out
 

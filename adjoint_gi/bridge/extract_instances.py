@@ -12,11 +12,15 @@ import bpy
 import numpy as np
 
 from ..core.scene import ObjectArrays
+from . import targets
+from .extract_layers import attributes_read
 from .extract_mesh import LARGEST_COORDINATE, MeshArrays, read_mesh
 from .extract_notices import Notices
-from .extract_visibility import Visibility
+from .extract_rays import name_rays
+from .extract_viewport import name_viewport
+from .extract_visibility import NO_ID, Visibility
+from .preview import own_material
 
-NO_ID = 2**31 - 1  # fills the unused end of a persistent_id
 FACELESS = {"CAMERA", "LIGHT", "LIGHT_PROBE", "SPEAKER", "ARMATURE", "LATTICE"}
 BECOMES_MESH = {"CURVE", "FONT", "SURFACE", "META"}
 
@@ -49,6 +53,7 @@ class Walk:
     def __init__(self, material_of: Callable[[bpy.types.Material | None], int], notices: Notices) -> None:
         self._material_of = material_of
         self._notices = notices
+        self._numbers = attributes_read()
         self._meshes: dict[int, MeshArrays | None] = {}
         self._groups: dict[tuple[int, bool, bytes], Group] = {}
         self._group_of: dict[tuple[int, int, bool], Group | None] = {}
@@ -64,11 +69,15 @@ class Walk:
     def run(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Visit every object and instance once and copy what is needed of it."""
         visibility = Visibility(depsgraph, self._notices)
+        described: set[bpy.types.Object] = set()
         for inst in depsgraph.object_instances:
             obj = inst.object
             original = obj.original
             if not visibility.shows(inst, original):
                 continue
+            if original not in described:
+                described.add(original)
+                self._describe(original, depsgraph)
             kind = obj.type
             if kind in BECOMES_MESH:
                 self._curves[original.name] = kind
@@ -76,6 +85,8 @@ class Walk:
                 self._visit_mesh(inst, obj, original)
             elif kind == "LIGHT":
                 self._visit_light(inst, obj, original)
+            elif original.is_missing:
+                self._notices.add(original.name, *targets.missing(original))
             elif kind not in FACELESS and kind not in BECOMES_MESH and not (kind == "EMPTY" and original.is_instancer):
                 self._notices.add(
                     original.name, f"is of type {_words(kind)}, which has no faces, and is left out", "Convert it to a mesh", "info"
@@ -87,6 +98,14 @@ class Walk:
             # Metaballs of one name form one surface, which the first of them owns.
             if name not in made and not (kind == "META" and name.split(".")[0] in families):
                 self._notices.add(name, "gives no faces and is left out", "Give it a bevel or an extrusion", "info")
+
+    def _describe(self, original: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> None:
+        """Name what Cycles does with an object that counts, and is not done here."""
+        if original.type != "MESH" and original.type != "LIGHT" and original.type not in BECOMES_MESH:
+            return
+        name_rays(original, self._notices)
+        if depsgraph.mode == "VIEWPORT":
+            name_viewport(original, depsgraph.scene, self._notices)
 
     def _visit_mesh(self, inst: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, original: bpy.types.Object) -> None:
         matrix = [x for row in inst.matrix_world for x in row]
@@ -160,9 +179,9 @@ class Walk:
     def _read(self, obj: bpy.types.Object, mesh: bpy.types.Mesh, name: str) -> MeshArrays | None:
         """Copy a mesh. In edit mode its layers cannot be read (their length is 0), but those of a temporary copy can."""
         if not mesh.is_editmode:
-            return read_mesh(mesh, name, self._notices)
+            return read_mesh(mesh, name, self._notices, self._numbers)
         try:
-            return read_mesh(obj.to_mesh(), name, self._notices)
+            return read_mesh(obj.to_mesh(), name, self._notices, self._numbers)
         finally:
             obj.to_mesh_clear()
 
@@ -175,11 +194,17 @@ class Walk:
         return found
 
     def _slots(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> np.ndarray:
-        """(ns,) int32 material index of each slot: the object's where the slot is linked to the object, else the mesh's."""
-        materials = list(mesh.materials)
+        """(ns,) int32 material index of each slot: the object's where the slot is linked to it, else the mesh's; never a preview's."""
+        below = list(mesh.materials)
+        materials = list(below)
         for i, slot in enumerate(obj.material_slots):
             if slot.link == "OBJECT" and i < len(materials):
                 materials[i] = slot.material
+        for i, material in enumerate(materials):
+            materials[i], lost = own_material(obj, i, material, below[i])
+            if lost:
+                reason = "shows a result, and its own material was deleted, so its faces count as grey"
+                self._notices.add(obj.original.name, reason, "Press Restore Materials and give it a material")
         return np.array([self._material_of(m) for m in materials or [None]], np.int32)
 
 

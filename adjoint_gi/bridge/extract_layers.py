@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bpy
 import numpy as np
 
 from ..core.scene import Material, ObjectArrays
@@ -26,8 +27,15 @@ def name_missing_layers(
                 layer = f'UV layer "{name}"' if name else "UV layer"
                 notices.add(owner.source, f'has no {layer} for the images of material "{materials[m].name}"', "Unwrap it")
             elif kind == "attribute" and name not in owner.colors:
-                layer = f'colour attribute "{name}"' if name else "colour attribute"
+                layer = f'attribute "{name}" of colours, numbers or vectors on points, corners or faces' if name else "colour attribute"
                 notices.add(owner.source, f'has no {layer} for material "{materials[m].name}"; it counts as black', "Add the attribute")
+
+
+def attributes_read() -> frozenset[str]:
+    """Names of the attributes that any material of the file reads."""
+    trees = [m.node_tree for m in bpy.data.materials if m.node_tree is not None] + list(bpy.data.node_groups)
+    nodes = [n for tree in trees for n in tree.nodes if n.type in ("ATTRIBUTE", "VERTEX_COLOR")]
+    return frozenset(n.attribute_name if n.type == "ATTRIBUTE" else n.layer_name for n in nodes)
 
 
 def _layers(material: Material) -> set[tuple[str, str]]:

@@ -14,7 +14,7 @@ from .extract_colors import Colors
 from .extract_images import Images
 from .extract_nodes import Place, is_linked
 from .extract_notices import Notices
-from .extract_shaders import Shaders, surface
+from .extract_shaders import Shaders, merged, surface
 from .versions import uses_nodes
 
 LARGEST_EMISSION = 1e9  # W m-2 sr-1; its square still fits in float32
@@ -27,14 +27,16 @@ class Materials:
 
     def __init__(self, depsgraph: bpy.types.Depsgraph, notices: Notices) -> None:
         self._depsgraph = depsgraph
+        self._override = depsgraph.view_layer.material_override
         self._notices = notices
         self._index: dict[int, int] = {}
         self._materials: list[Material] = []
-        self.images = Images(notices)
+        self.images = Images(notices, depsgraph.scene_eval.frame_current)
         self.colors = Colors(self.images, notices)
 
     def index_of(self, material: bpy.types.Material | None) -> int:
-        """Index of a material; None gives Cycles' default, grey diffuse 0.8."""
+        """Index of a material; None gives Cycles' default, grey diffuse 0.8. The view layer's override stands for every one."""
+        material = self._override or material
         key = 0 if material is None else material.original.as_pointer()
         if key not in self._index:
             made = Material(DEFAULT) if material is None else self._read(material.evaluated_get(self._depsgraph))
@@ -56,10 +58,10 @@ class Materials:
             return Material(material.name, (self._safe(Lobe("diffuse", Color.of(*material.diffuse_color[:3]))),))
         place = surface(material.node_tree, "OUTPUT_MATERIAL")
         if place is None:
-            self._tell("has no output node; it is black, as in Cycles", "Add a Material Output node")
+            self._tell("has no output node for Cycles; it is black, as there", "Add a Material Output whose target is All")
             return Material(material.name, ())
         self._leftovers(place)
-        lobes = _merged(Shaders(self.colors).lobes(place, Color.of(1.0)))
+        lobes = merged(Shaders(self.colors).lobes(place, Color.of(1.0)))
         return Material(material.name, self._bounded([self._safe(lobe) for lobe in lobes]))
 
     def _tell(self, reason: str, remedy: str) -> None:
@@ -120,16 +122,6 @@ class Materials:
         )
         out = [x if x.kind in BESIDE else replace(x, color=x.color * (1.0 / worst)) for x in lobes]
         return tuple(lobe for lobe in out if not lobe.color.is_black)
-
-
-def _merged(lobes: list[Lobe]) -> list[Lobe]:
-    """One lobe for all of the same kind, roughness, index and distribution: constants add up, and clamping sees their sum."""
-    sums: dict[tuple[str, float, float, bool], Color] = {}
-    for lobe in lobes:
-        plain = lobe.kind in ("diffuse", "emission", "transparent")
-        key = (lobe.kind, 1.0 if plain else lobe.roughness, 1.45 if plain else lobe.ior, lobe.multiscatter)
-        sums[key] = sums.get(key, Color()) + lobe.color
-    return [Lobe(kind, color, roughness, ior, many) for (kind, roughness, ior, many), color in sums.items()]
 
 
 def _clamp(x: float, top: float) -> float:

@@ -11,6 +11,13 @@ from .extract_notices import Notices
 
 LARGEST_COORDINATE = 1e12  # squares of longer edges leave float32
 SLIVER = 1e-9  # height over length below which a triangle has no usable normal
+NUMBERS = {  # attributes that are no colours: where their values are, how many, of which type
+    "FLOAT": ("value", 1, np.float32),
+    "INT": ("value", 1, np.int32),
+    "BOOLEAN": ("value", 1, bool),
+    "FLOAT_VECTOR": ("vector", 3, np.float32),
+    "FLOAT2": ("vector", 2, np.float32),
+}
 FLAT_NORMAL = 0.9999995  # cosine of 1e-3 rad: a corner normal further from its polygon's was set on purpose
 
 
@@ -66,8 +73,11 @@ class MeshArrays:
         )
 
 
-def read_mesh(mesh: bpy.types.Mesh, name: str, notices: Notices) -> MeshArrays | None:
-    """Copy `mesh` into arrays; None (with a notice about `name`) when it has no usable face."""
+def read_mesh(mesh: bpy.types.Mesh, name: str, notices: Notices, numbers: frozenset[str] = frozenset()) -> MeshArrays | None:
+    """Copy `mesh` into arrays; None (with a notice about `name`) when it has no usable face.
+
+    Colour attributes are copied always, attributes of numbers and vectors when their name is in `numbers`.
+    """
     if not mesh.polygons:
         notices.add(name, "has no faces and is left out", "", "info")
         return None
@@ -101,7 +111,7 @@ def read_mesh(mesh: bpy.types.Mesh, name: str, notices: Notices) -> MeshArrays |
         selected=selected,
         uvs=uvs,
         render_uv=next((layer.name for layer in mesh.uv_layers if layer.active_render), ""),
-        colors=_colors(mesh, triangles, corners, polygon, name, notices),
+        colors=_colors(mesh, triangles, corners, polygon, name, notices, numbers),
         render_color=_render_color(mesh),
         corner_count=len(mesh.loops),
         polygon_count=len(mesh.polygons),
@@ -183,14 +193,25 @@ def _uv_layer(layer: bpy.types.MeshUVLoopLayer, corners: np.ndarray, name: str, 
 
 
 def _colors(
-    mesh: bpy.types.Mesh, triangles: np.ndarray, corners: np.ndarray, polygon: np.ndarray, name: str, notices: Notices
+    mesh: bpy.types.Mesh,
+    triangles: np.ndarray,
+    corners: np.ndarray,
+    polygon: np.ndarray,
+    name: str,
+    notices: Notices,
+    numbers: frozenset[str],
 ) -> dict[str, np.ndarray]:
-    """Every colour attribute as (nt, 3, 4) float32; Blender hands out byte colours already scene-linear."""
+    """Every colour attribute, and what is in `numbers`, as (nt, 3, 4) float32; Blender hands out byte colours already scene-linear."""
     out = {}
     for attribute in mesh.attributes:
-        if attribute.data_type not in ("FLOAT_COLOR", "BYTE_COLOR") or attribute.domain not in ("POINT", "CORNER", "FACE"):
+        if attribute.domain not in ("POINT", "CORNER", "FACE"):
             continue
-        values = _get(attribute.data, "color", 4, np.float32)
+        if attribute.data_type in ("FLOAT_COLOR", "BYTE_COLOR"):
+            values = _get(attribute.data, "color", 4, np.float32)
+        elif attribute.data_type in NUMBERS and attribute.name in numbers:
+            values = _as_color(_get(attribute.data, *NUMBERS[attribute.data_type]))
+        else:
+            continue
         if attribute.domain == "POINT":
             color = values[triangles]
         elif attribute.domain == "CORNER":
@@ -198,8 +219,17 @@ def _colors(
         else:
             color = np.repeat(values[polygon][:, None, :], 3, axis=1)
         out[attribute.name] = _finite(
-            color, name, f'colour attribute "{attribute.name}" holds values that are not numbers; they count as 0', notices
+            color, name, f'attribute "{attribute.name}" holds values that are not numbers; they count as 0', notices
         )
+    return out
+
+
+def _as_color(values: np.ndarray) -> np.ndarray:
+    """(n, 4) float32 from numbers (n,), which are grey, or vectors (n, 2) or (n, 3), as Cycles does it."""
+    out = np.zeros((len(values), 4), np.float32)
+    columns = values.reshape(len(values), -1)
+    out[:, : 3 if columns.shape[1] == 1 else columns.shape[1]] = columns
+    out[:, 3] = 1.0
     return out
 
 

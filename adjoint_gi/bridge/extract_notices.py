@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..core.errors import Notice
 
-NAMES_SHOWN = 8
+NAMES_SHOWN = 4
 
 
 class Notices:
@@ -20,7 +20,7 @@ class Notices:
     def result(self) -> tuple[Notice, ...]:
         """All notices, errors first, in the order in which they were added."""
         rank = {"error": 0, "warning": 1, "info": 2}
-        notices = [Notice(_listed(list(names)), reason, remedy, severity) for (reason, remedy, severity), names in self._names.items()]
+        notices = [Notice(_listed(list(names)), *key, names=tuple(names)) for key, names in self._names.items()]
         return tuple(sorted(notices, key=lambda n: rank[n.severity]))
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import bpy
 
 from ..core.scene import Color, Lobe, Rgb
-from .color_math import NotPolynomial, simplified
+from .color_math import LARGEST_POLYNOMIAL, combined
 from .extract_colors import Colors
 from .extract_images import Images
 from .extract_nodes import NodesTooDeep, Place, follow, inputs, is_linked
@@ -21,11 +21,12 @@ GREY = 0.8  # Cycles' default surface
 
 
 class Shaders:
-    """Walks a shader tree and collects its lobes."""
+    """Walks the shader tree of one material, world or light and collects its lobes."""
 
     def __init__(self, colors: Colors) -> None:
         self.colors = colors
         self._depth = 0
+        self._known: dict[Place, list[Lobe]] = {}  # shaders already read: one that feeds two inputs is read once
 
     def lobes(self, place: Place, weight: Color) -> list[Lobe]:
         """Lobes of the shader that feeds the socket at `place`, times `weight`."""
@@ -43,60 +44,61 @@ class Shaders:
             return []
         if found.socket.type != "SHADER":  # a colour at a surface socket is emitted, as in Cycles
             return [Lobe("emission", self._times(self.colors.color(place), weight))]
-        self._depth += 1
-        try:
-            reader = _SHADERS.get(found.socket.node.bl_idname, Shaders._unknown)
-            return reader(self, found.socket.node, found, weight)
-        finally:
-            self._depth -= 1
+        if found not in self._known:
+            self._depth += 1
+            try:
+                reader = _SHADERS.get(found.socket.node.bl_idname, Shaders._unknown)
+                self._known[found] = reader(self, found.socket.node, found)
+            finally:
+                self._depth -= 1
+        return [replace(x, color=self._times(x.color, weight)) for x in self._known[found]]
 
     def _tell(self, reason: str, remedy: str) -> None:
         self.colors.notices.add(self.colors.owner, reason, remedy)
 
     def _times(self, color: Color, weight: Color) -> Color:
         """Product of two polynomials; if it gets too long, the colour alone with a notice."""
-        try:
-            return simplified(color * weight)
-        except NotPolynomial:
-            self._tell("mixes too many textures; a mixing factor is left out", "Bake the material to one image")
-            return color
+        product = combined(color * weight)
+        if len(product.terms) <= LARGEST_POLYNOMIAL or weight.is_constant:
+            return product
+        self._tell("mixes too many textures; a mixing factor is left out", "Bake the material to one image")
+        return color
 
-    def _mix(self, node: bpy.types.Node, place: Place, weight: Color) -> list[Lobe]:
+    def _mix(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
         """Mix Shader: (1 - factor) of the first and factor of the second."""
         factor = self.colors.value(Place(node.inputs[0], place.groups))
         if factor.is_constant:
             factor = Color.of(min(max(factor.constant[0], 0.0), 1.0))
-        first = self.lobes(Place(node.inputs[1], place.groups), self._times(factor.complement(), weight))
-        return first + self.lobes(Place(node.inputs[2], place.groups), self._times(factor, weight))
+        first = self.lobes(Place(node.inputs[1], place.groups), factor.complement())
+        return merged(first + self.lobes(Place(node.inputs[2], place.groups), factor))
 
-    def _add(self, node: bpy.types.Node, place: Place, weight: Color) -> list[Lobe]:
+    def _add(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
         """Add Shader."""
-        return [lobe for s in node.inputs for lobe in self.lobes(Place(s, place.groups), weight)]
+        return merged([lobe for s in node.inputs for lobe in self.lobes(Place(s, place.groups), Color.of(1.0))])
 
-    def _emission(self, node: bpy.types.Node, place: Place, weight: Color) -> list[Lobe]:
+    def _emission(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
         """Emission and Background: colour times strength."""
         sockets = inputs(place)
-        color = self._times(self.colors.color(sockets["Color"]), self.colors.value(sockets["Strength"]))
-        return [Lobe("emission", self._times(color, weight))]
+        return [Lobe("emission", self._times(self.colors.color(sockets["Color"]), self.colors.value(sockets["Strength"])))]
 
-    def _principled(self, node: bpy.types.Node, place: Place, weight: Color) -> list[Lobe]:
-        return [replace(x, color=self._times(x.color, weight)) for x in principled_lobes(self.colors, place)]
+    def _principled(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
+        return principled_lobes(self.colors, place)
 
-    def _diffuse(self, node: bpy.types.Node, place: Place, weight: Color) -> list[Lobe]:
+    def _diffuse(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
         """Diffuse BSDF; its roughness (Oren-Nayar) is not computed."""
         sockets = inputs(place)
         if "Roughness" in sockets and (is_linked(sockets["Roughness"]) or sockets["Roughness"].socket.default_value > 0.0):
             self.colors.skip(place, "has a roughness", "it is computed as an ideal diffuser", "Set its roughness to 0")
         self._normal(place, sockets)
-        return [Lobe("diffuse", self._times(self.colors.color(sockets["Color"]), weight))]
+        return [Lobe("diffuse", self.colors.color(sockets["Color"]))]
 
-    def _as_diffuse(self, node: bpy.types.Node, place: Place, weight: Color) -> list[Lobe]:
+    def _as_diffuse(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
         """Translucent, subsurface, sheen, toon: their colour reflected by an ideal diffuser."""
         sockets = inputs(place)
         self.colors.skip(place, "is not computed", "an ideal diffuser of its colour is used", "Use Diffuse or Principled")
-        return [Lobe("diffuse", self._times(self.colors.color(sockets["Color"]), weight))]
+        return [Lobe("diffuse", self.colors.color(sockets["Color"]))]
 
-    def _rough(self, node: bpy.types.Node, place: Place, weight: Color) -> list[Lobe]:
+    def _rough(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
         """Glossy, Metallic, Glass and Refraction."""
         sockets = inputs(place)
         kind = {"ShaderNodeBsdfGlass": "glass", "ShaderNodeBsdfRefraction": "refraction"}.get(node.bl_idname, "glossy")
@@ -109,23 +111,23 @@ class Shaders:
             self.colors.skip(place, f"has the distribution {node.distribution}", "it is computed as GGX", "Choose GGX")
         color = self.colors.color(sockets["Color"] if "Color" in sockets else sockets["Base Color"])
         many = node.distribution == "MULTI_GGX"
-        return [Lobe(kind, self._times(color, weight), min(max(roughness, 0.0), 1.0), max(ior, 1e-3), many)]
+        return [Lobe(kind, color, min(max(roughness, 0.0), 1.0), max(ior, 1e-3), many)]
 
-    def _transparent(self, node: bpy.types.Node, place: Place, weight: Color) -> list[Lobe]:
-        return [Lobe("transparent", self._times(self.colors.color(inputs(place)["Color"]), weight))]
+    def _transparent(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
+        return [Lobe("transparent", self.colors.color(inputs(place)["Color"]))]
 
-    def _nothing(self, node: bpy.types.Node, place: Place, weight: Color) -> list[Lobe]:
+    def _nothing(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
         """Holdout and volumes at a surface socket: black."""
         self.colors.skip(place, "is not computed", "black is used", "Use a surface shader")
         return []
 
-    def _unknown(self, node: bpy.types.Node, place: Place, weight: Color) -> list[Lobe]:
+    def _unknown(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
         """Anything else: its colour, or Cycles' default grey, reflected by an ideal diffuser."""
         sockets = inputs(place)
         if "Color" in sockets:
-            return self._as_diffuse(node, place, weight)
+            return self._as_diffuse(node, place)
         self.colors.skip(place, "is not understood", f"a grey diffuse surface of {GREY} is used", "Use Diffuse or Principled")
-        return [Lobe("diffuse", weight * GREY)]
+        return [Lobe("diffuse", Color.of(GREY))]
 
     def _normal(self, place: Place, sockets: dict[str, Place]) -> None:
         """A linked normal (bump or normal map) is left out and named."""
@@ -133,7 +135,7 @@ class Shaders:
             self.colors.skip(place, "has a bump or normal map", "the mesh's own normals are used", "")
 
 
-_SHADERS: dict[str, Callable[[Shaders, bpy.types.Node, Place, Color], list[Lobe]]] = {
+_SHADERS: dict[str, Callable[[Shaders, bpy.types.Node, Place], list[Lobe]]] = {
     "ShaderNodeMixShader": Shaders._mix,
     "ShaderNodeAddShader": Shaders._add,
     "ShaderNodeEmission": Shaders._emission,
@@ -154,22 +156,33 @@ _SHADERS: dict[str, Callable[[Shaders, bpy.types.Node, Place, Color], list[Lobe]
 }
 
 
+def merged(lobes: list[Lobe]) -> list[Lobe]:
+    """One lobe for all of the same kind, roughness, index and distribution: constants add up, and clamping sees their sum."""
+    sums: dict[tuple[str, float, float, bool], Color] = {}
+    for lobe in lobes:
+        plain = lobe.kind in ("diffuse", "emission", "transparent")
+        key = (lobe.kind, 1.0 if plain else lobe.roughness, 1.45 if plain else lobe.ior, lobe.multiscatter)
+        sums[key] = sums.get(key, Color()) + lobe.color
+    return [Lobe(kind, combined(color), roughness, ior, many) for (kind, roughness, ior, many), color in sums.items()]
+
+
 def surface(tree: bpy.types.NodeTree, output: str) -> Place | None:
-    """The Surface socket of the tree's active output node for Cycles."""
+    """The Surface socket of the tree's output node for Cycles; None where there is none, or only one for EEVEE (Cycles: black)."""
     node = tree.get_output_node("CYCLES")
-    if node is None or node.type != output:
-        node = next((n for n in tree.nodes if n.type == output), None)
-    return None if node is None else Place(node.inputs["Surface"])
+    return None if node is None or node.type != output else Place(node.inputs["Surface"])
 
 
 def light_emission(data: bpy.types.Light, name: str, notices: Notices) -> Rgb:
     """Colour times strength of a light's own nodes, (1, 1, 1) without nodes. What varies is replaced by its mean."""
     if not uses_nodes(data):
         return (1.0, 1.0, 1.0)
-    colors = Colors(Images(notices), notices)
+    colors = Colors(Images(notices, bpy.context.scene.frame_current), notices)
     colors.owner = name
     place = surface(data.node_tree, "OUTPUT_LIGHT")
-    lobes = [] if place is None else Shaders(colors).lobes(place, Color.of(1.0))
+    if place is None:
+        notices.add(name, "is a light without an output node for Cycles; it is dark, as there", "Add a Light Output whose target is All")
+        return (0.0, 0.0, 0.0)
+    lobes = Shaders(colors).lobes(place, Color.of(1.0))
     total = Color()
     for lobe in lobes:
         if lobe.kind == "emission":

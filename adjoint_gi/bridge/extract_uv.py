@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import bpy
 import numpy as np
 
 from .extract_nodes import Place, follow, inputs, is_linked
+from .versions import group_value_is_place
 
 CHAIN = 32
 
@@ -24,9 +27,12 @@ def read_coordinates(vector: Place) -> tuple[str, np.ndarray]:
     for _ in range(CHAIN):
         found = follow(place)
         if not found.socket.is_output:
-            if place is not vector:
+            of_group = found.socket.node.type == "GROUP"
+            if place is vector and not (of_group and group_value_is_place(found.socket)):
+                return "", _uv_part(affine)  # an image without coordinates uses the UV layer for rendering
+            if not of_group and found.socket != place.socket:
                 raise NotUv("has a mapping without texture coordinates")
-            return "", _uv_part(affine)  # an image without coordinates uses the UV layer for rendering
+            return "", _uv_part(affine @ _everywhere(found.socket.default_value))  # one point of the image, as in Cycles
         node = found.socket.node
         if node.type == "MAPPING":
             affine = affine @ _mapping(node, found)
@@ -49,6 +55,14 @@ def read_coordinates(vector: Place) -> tuple[str, np.ndarray]:
 def _uv_part(affine: np.ndarray) -> np.ndarray:
     """(2, 3): the part of a (4, 4) map that concerns points (u, v, 0)."""
     return affine[:2][:, [0, 1, 3]]
+
+
+def _everywhere(value: float | Sequence[float]) -> np.ndarray:
+    """(4, 4) map of every point to the value of a socket (number, vector or colour)."""
+    m = np.zeros((4, 4))
+    m[:3, 3] = value if isinstance(value, int | float) else tuple(value)[:3]
+    m[3, 3] = 1.0
+    return m
 
 
 def _mapping(node: bpy.types.Node, place: Place) -> np.ndarray:

@@ -10,6 +10,7 @@ from .color_math import NotPolynomial, mean
 from .extract_colors import Colors
 from .extract_nodes import is_linked
 from .extract_notices import Notices
+from .extract_rays import name_world_rays
 from .extract_shaders import Shaders, surface
 from .versions import uses_nodes
 
@@ -21,11 +22,20 @@ def read_world(world: bpy.types.World | None, colors: Colors, notices: Notices) 
     if world is None:
         return (0.0, 0.0, 0.0)
     name = f'World "{world.name}"'
+    radiance = _radiance(world, name, colors, notices)
+    if any(radiance):
+        name_world_rays(world.original, name, notices)  # a change of these switches need not reach the evaluated copy (4.2)
+    return radiance
+
+
+def _radiance(world: bpy.types.World, name: str, colors: Colors, notices: Notices) -> Rgb:
+    """The radiance of a world's colour or node tree."""
     colors.owner = name
     if not uses_nodes(world):
         return _safe(tuple(world.color), name, notices)
     place = surface(world.node_tree, "OUTPUT_WORLD")
     if place is None:
+        notices.add(name, "has no output node for Cycles; it is black, as there", "Add a World Output whose target is All")
         return (0.0, 0.0, 0.0)
     volume = place.sibling("Volume")
     if volume is not None and is_linked(volume):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import tempfile
 from pathlib import Path
 
 import bpy
@@ -30,7 +31,9 @@ def safe_name(name: str) -> str:
 def output_folder(text: str, create: bool = True) -> Path:
     """The absolute folder that `text` names, "//" meaning beside the .blend file.
 
-    Raises TargetError for an empty or relative path or an unsaved file, WriteError when the folder cannot be made.
+    With `create` it is made, and a file without a name is written into it; otherwise nothing is changed, and what can be told from
+    permissions is looked at. Raises TargetError for an empty or relative path or an unsaved file, WriteError when the folder cannot be
+    made or written to.
     """
     if not text.strip():
         raise TargetError("Output folder", "is not set", "Choose a folder")
@@ -45,12 +48,22 @@ def output_folder(text: str, create: bool = True) -> Path:
         raise TargetError("Output folder", f'"{text}" is not an absolute path', "Choose an absolute folder, or one that starts with //")
     folder = Path(os.path.normpath(folder))
     try:
+        parent = next((p for p in (folder, *folder.parents) if p.exists()), None)
+        if parent is None:
+            raise WriteError(str(folder), "is on a drive that is not there", "Choose another folder")
+        if not parent.is_dir():
+            raise WriteError(str(parent), "is a file, not a folder", "Choose another folder")
+        if not os.access(parent, os.W_OK | os.X_OK):
+            raise WriteError(str(parent), "there is no permission to write there", "Choose a folder you may write to")
         if create:
             folder.mkdir(parents=True, exist_ok=True)
-        if not folder.is_dir():
-            raise WriteError(str(folder), "is not a folder", "Choose another folder")
     except OSError as error:
         raise WriteError(str(folder), f"cannot be made ({error.strerror or error})", "Choose another folder") from error
+    if create:
+        try:
+            tempfile.TemporaryFile(dir=folder).close()
+        except OSError as error:
+            raise WriteError(str(folder), f"cannot be written to ({error.strerror or error})", "Choose another folder") from error
     return folder
 
 

@@ -1,8 +1,9 @@
-"""The size of an image from the first bytes of its file, so that an image bomb is refused before it is decoded."""
+"""Files of images: the size from the first bytes, so that an image bomb is refused before it is decoded; frames of sequences."""
 
 from __future__ import annotations
 
 import os
+import re
 import struct
 
 import bpy
@@ -13,6 +14,16 @@ HEADER = 65536  # bytes looked at
 def stored_size(image: bpy.types.Image) -> tuple[int, int] | None:
     """(width, height) of a packed or stored PNG, JPEG, OpenEXR or BMP, or None when it cannot be told."""
     return size_of_bytes(_first_bytes(image))
+
+
+def sequence_file(image: bpy.types.Image, frame: int) -> str:
+    """Path of one frame of an image sequence: the last number in the name of its file is replaced, with as many digits."""
+    folder, name = os.path.split(bpy.path.abspath(image.filepath, library=image.library))
+    stem, extension = os.path.splitext(name)
+    found = re.fullmatch(r"(.*?)(\d+)(\D*)", stem)
+    if found is None:
+        return os.path.join(folder, name)
+    return os.path.join(folder, f"{found[1]}{frame:0{len(found[2])}d}{found[3]}{extension}")
 
 
 def _first_bytes(image: bpy.types.Image) -> bytes:

@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import dataclasses
 import time
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
 
 from ..core.errors import AdjointError, Notice
 from ..core.solution import Solution
-from . import kept, preferences, records
+from . import kept, preferences, properties, records
 from .lightmap_uv import find_uv_layer
-from .preflight import target_objects
+from .preflight import ordered, target_objects
 from .watch import Targets
 
 if TYPE_CHECKING:
@@ -49,6 +51,7 @@ class Job:
         self.state = "running"
         self.notices: list[Notice] = []
         self.solution: Solution | None = None  # kept while it could not be written
+        self._kept = ""  # the file that it is kept in
         self.undone = False  # the user has undone something since it was started
         self._written = 0  # version of the driver's partial result that was written last
         self._next_write = 0.0
@@ -86,7 +89,7 @@ class Job:
         """Go on from the partial result; raises `AdjointError` when that is not possible."""
         if self.state != "stopped":
             raise AdjointError("Continue", "there is no stopped bake", "Press Bake to start one")
-        for problem in self.targets.problems():
+        for problem in ordered(self.targets.problems()):
             raise AdjointError(problem.object, problem.reason, problem.remedy)
         self.state, self.notices = "running", []
         preferences.apply_threads()
@@ -101,17 +104,24 @@ class Job:
     def conclude(self, state: str) -> None:
         """Write what the driver has, note its numbers on the scene, and make one undo step of it."""
         self.state = state
-        self.solution = self.bake.driver.solution()
+        self.solution, self._kept = self.bake.driver.solution(), ""
         if self.solution is None:
             self.notices = [Notice("", "Stopped before the first result", "Continue, or bake again", "info")]
             return
+        self.write()
+
+    def write_again(self) -> None:
+        """Write the kept result, now that what stood in the way is gone; files go to the folder that the panel has now."""
+        scene = self.find_scene()
+        if scene is not None:
+            self.request = self.bake.request = dataclasses.replace(self.request, output=properties.folder_of(scene, self.request.target))
         self.write()
 
     def write(self) -> None:
         """Write the final or stopped result to its objects, or to a file of its own when they have changed."""
         solution, files = self.solution, []
         scene = self.find_scene()
-        self.notices = self.targets.problems()
+        self.notices = ordered(self.targets.problems())
         if scene is None:
             self.notices = [Notice("Scene", "was deleted while it was baked", "", "error")]
         applied = not self.notices
@@ -120,18 +130,27 @@ class Job:
                 self.bake.write(solution)
                 files = self.bake.files
             except AdjointError as error:
-                self.notices, applied = [error.notice], False
+                # Images are in the .blend file even where their files could not be written.
+                self.notices, applied = [error.notice], bool(self.bake.written)
+        complete, told = not self.notices, list(self.notices)
         if not applied:
-            files = [kept.save(solution)]
-            self.notices.append(Notice("", f"The result is kept in {files[0]} and was not written to the objects", "", "warning"))
+            if not Path(self._kept).is_file():
+                self._kept = kept.save(solution)
+            files = [self._kept]
+            self.notices.append(Notice("", f"The result is kept in {self._kept} and was not written to the objects", "", "warning"))
+        elif not complete:
+            remedy = "Choose a folder in Output, or none, and press Write Result"
+            self.notices.append(Notice("", "The images are in the .blend file; their files are missing", remedy, "warning"))
         if scene is not None:
-            notices = dict.fromkeys([*self.notices, *self.bake.notices, *solution.warnings])
+            # Where a result is kept stands in the record's files already.
+            told = self.notices if applied else told
+            notices = dict.fromkeys([*told, *self.bake.notices, *solution.warnings])
             record = scene.adjoint_gi.result
-            records.store(
-                record, solution, target=self.request.target, quantity=self.request.quantity, applied=applied, files=files, notices=notices
-            )
-        if applied:
+            what = {name: getattr(self.request, name) for name in ("target", "quantity", "new_object")}
+            records.store(record, solution, **what, applied=applied, files=files, notices=notices)
+        if complete:
             self.solution = None
+        if applied:
             push_undo("Adjoint GI Bake" if self.state == "finished" else "Adjoint GI Partial Bake")
 
     def fail(self, error: BaseException | None) -> None:
@@ -139,11 +158,11 @@ class Job:
         self.state = "failed"
         notice = error.notice if isinstance(error, AdjointError) else Notice("", f"{type(error).__name__}: {error}", "", "error")
         self.notices = [notice]
-        self.solution = self.bake.driver.solution()
+        self.solution, self._kept = self.bake.driver.solution(), ""
 
     def find_scene(self) -> bpy.types.Scene | None:
         """The scene it was started in."""
-        return next((s for s in bpy.data.scenes if s.session_uid == self.scene), None)
+        return scene_of(self.scene)
 
     def _write_partial(self) -> None:
         """Show how far it is, at most once in the refresh time, and never for more than a small share of the time."""
@@ -159,6 +178,17 @@ class Job:
                 push_undo("Adjoint GI Bake Under Way")
         spent = time.monotonic() - now
         self._next_write = time.monotonic() + max(preferences.refresh_seconds(), spent / SHARE)
+
+
+def scene_of(uid: int) -> bpy.types.Scene | None:
+    """The scene of this session_uid; None when it is gone."""
+    return next((s for s in bpy.data.scenes if s.session_uid == uid), None)
+
+
+def elsewhere(uid: int, scene: bpy.types.Scene) -> str:
+    """Name of the scene of this session_uid where that is another one than `scene`; empty where it is not, or is gone."""
+    own = scene_of(uid)
+    return own.name if own is not None and own != scene else ""
 
 
 def new_bake(context: bpy.types.Context, request: BakeRequest) -> Bake:

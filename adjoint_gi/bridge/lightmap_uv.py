@@ -14,6 +14,7 @@ from ..core.unwrap import unwrap
 from . import targets
 
 STORED = "adjoint_gi_uv"  # custom property of the mesh: name of the layer made by us
+NAME = "Lightmap"  # what such a layer is called where nothing else is
 MOST = 8  # UV layers of a Blender mesh
 MULTIPLIES = {"ARRAY", "MIRROR", "SCREW", "SOLIDIFY", "BOOLEAN", "NODES", "REMESH", "SKIN", "BEVEL", "EXPLODE", "BUILD"}
 
@@ -37,7 +38,7 @@ def find_uv_layer(obj: bpy.types.Object, name: str) -> str:
     return chosen
 
 
-def make_lightmap_uv(obj: bpy.types.Object, name: str = "Lightmap", resolution: int | tuple[int, int] = 512, padding: int = 4) -> str:
+def make_lightmap_uv(obj: bpy.types.Object, name: str = NAME, resolution: int | tuple[int, int] = 512, padding: int = 4) -> str:
     """Make (or renew) our UV layer on the original mesh of `obj` and return its name.
 
     Charts do not overlap and lie `padding` texels apart in an image of `resolution`. Objects that share the mesh share the layer; each

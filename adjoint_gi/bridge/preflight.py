@@ -6,9 +6,7 @@ Two parts: what can be read off Blender's data at once, and what needs the extra
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import bpy
 
@@ -19,17 +17,18 @@ from ..core.lightmap import memory as lightmap_memory
 from ..core.receivers import Receivers
 from ..core.resources import SHARE, available_memory, size_text
 from ..core.scene import SceneArrays
-from ..core.settings import Settings
 from ..core.world import World
-from . import targets
+from . import files, outputs, targets
 from .extract import extract
 from .extract_camera import render_size
 from .extract_notices import Notices
-from .lightmap_uv import MOST, STORED
+from .lightmap_uv import MOST, NAME, STORED
 from .request import RECEIVERS, BakeRequest
+from .results import unhidden
 from .write_attribute import check_attribute_target
 
 QUICK = 300_000  # triangles above which the panel's check does not extract the scene
+LEFT_OUT = ("and is left out", "so it is left out")  # how the extraction says that a whole object is not there
 BYTES_A_TRIANGLE = 900  # arrays, rows of the world and Embree's tree, measured on zdm2
 
 
@@ -45,14 +44,16 @@ def preflight(context: bpy.types.Context, request: BakeRequest, thorough: bool =
         notices += _memory_notice("Scene", count * BYTES_A_TRIANGLE)
         return ordered(notices)
     arrays = extract(depsgraph, context.scene, picture_size(context.scene, request))
-    return ordered([*notices, *inspect(World(arrays), request)])
+    taken = outputs.problems(request, arrays, receiving(arrays, request), context.scene.name)
+    return ordered([*notices, *inspect(World(arrays), request), *taken])
 
 
 def ordered(notices: list[Notice]) -> list[Notice]:
     """Errors, warnings, infos; objects with the same sentence together."""
     grouped = Notices()
     for n in notices:
-        grouped.add(n.object, n.reason, n.remedy, n.severity)
+        for name in n.names or (n.object,):
+            grouped.add(name, n.reason, n.remedy, n.severity)
     return list(grouped.result())
 
 
@@ -68,24 +69,48 @@ def look(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
         for name in request.objects:
             notices += _named(context, name)
         if not any(n.severity == "error" for n in notices):
-            objects = target_objects(context, request)
+            notices += _skipped(context, request)
             check = _texture_target if request.target == "texture" else _attribute_target
-            for obj in objects:
+            for obj in target_objects(context, request):
                 notices += check(obj, request)
     notices += _output(request)
     return ordered(notices)
 
 
 def target_objects(context: bpy.types.Context, request: BakeRequest) -> list[bpy.types.Object]:
-    """The mesh objects that `request` means: those named, or all that have faces and are not hidden in render."""
+    """The mesh objects that `request` means: those named, or all that have faces, are not hidden in render and can be written to."""
     wanted = dict.fromkeys(request.objects)
     if wanted:
         return [context.view_layer.objects[name] for name in wanted if name in context.view_layer.objects]
+    return [o for o in _with_faces(context) if unwritable(o, request) is None]
+
+
+def unwritable(obj: bpy.types.Object, request: BakeRequest) -> TargetError | None:
+    """Why `obj`, of another file, cannot keep the result, so that it is left out unless it was named; None when it can."""
+    own_uv = request.target == "texture" and not request.uv_layer and not has_own_layer(obj.data)
+    return targets.linked(obj, own_uv or (request.target == "attribute" and not request.new_object))
+
+
+def _with_faces(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """Mesh objects that have faces and are not hidden in render."""
     depsgraph = context.evaluated_depsgraph_get()
-    shown = {i.object.original.session_uid for i in depsgraph.object_instances if not i.is_instance and i.object.type == "MESH"}
-    objects = [o for o in context.view_layer.objects if o.type == "MESH" and o.session_uid in shown and not o.hide_render]
+    with unhidden(context.view_layer):
+        shown = {i.object.original.session_uid for i in depsgraph.object_instances if not i.is_instance and i.object.type == "MESH"}
+    meshes = [o for o in context.view_layer.objects if o.type == "MESH" and not targets.is_result(o)]
+    objects = [o for o in meshes if o.session_uid in shown and not o.hide_render]
     # In edit mode the evaluated mesh shows no faces here, although the scene has them.
     return [o for o in objects if o.mode == "EDIT" or len(o.evaluated_get(depsgraph).data.polygons)]
+
+
+def _skipped(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
+    """Warnings for objects that are left out because nothing can be written to them; errors when there are no others."""
+    if request.objects:
+        return []
+    objects = _with_faces(context)
+    found = [error.notice for error in (unwritable(o, request) for o in objects) if error is not None]
+    if len(found) == len(objects):
+        return found
+    return [replace(n, reason=f"{n.reason}; it is in the light, but not baked", severity="warning") for n in found]
 
 
 def inspect(world: World, request: BakeRequest) -> list[Notice]:
@@ -97,10 +122,7 @@ def inspect(world: World, request: BakeRequest) -> list[Notice]:
         if arrays.camera is None:
             notices.append(Notice("Camera", "there is no camera that can be used", "Make it perspective or orthographic", "error"))
     else:
-        found = {arrays.objects[i].source for i in receivers}
-        for name in [n for n in request.objects if n not in found]:
-            reason = "is not in the scene as it is rendered: it has no faces with an area, or is seen only as an instance"
-            notices.append(Notice(name, reason, "Give it faces, show it in renders, or make its instances real", "error"))
+        notices = refusals(notices, [n for n in request.objects if n not in {arrays.objects[i].source for i in receivers}])
         if not request.objects:
             notices += _meshless(arrays)
         if not receivers and not request.objects and not any(n.severity == "error" for n in notices):
@@ -113,13 +135,35 @@ def inspect(world: World, request: BakeRequest) -> list[Notice]:
     return ordered(notices)
 
 
+def refusals(notices: list[Notice], missing: list[str]) -> list[Notice]:
+    """`notices`, and an error for each object of `missing`, which was asked for and is not in the scene as it is rendered.
+
+    Where the extraction has said why it left an object out, that notice becomes the error.
+    """
+    left_out = [n for n in notices if any(words in n.reason for words in LEFT_OUT)]
+    told = {name: n for n in left_out for name in n.names or (n.object,) if name in missing}
+    out = []
+    for n in notices:
+        names = n.names or (n.object,)
+        out += [Notice(name, n.reason, n.remedy, n.severity) for name in names if told.get(name) is not n]
+    for name in missing:
+        if name in told:
+            out.append(Notice(name, told[name].reason, told[name].remedy or "Give it faces, or do not bake it", "error"))
+        else:
+            reason = "is not in the scene as it is rendered: it is seen only as an instance, or has no faces with an area"
+            out.append(Notice(name, reason, "Make its instances real, or give it faces", "error"))
+    return out
+
+
 def receiving(arrays: SceneArrays, request: BakeRequest) -> list[int]:
-    """Indices of the objects that receive: no instances and no texts or curves, for these have no mesh of their own to write to."""
-    meshes = {o.session_uid for o in bpy.data.objects if o.type == "MESH"}
-    own = [i for i, o in enumerate(arrays.objects) if not o.instance and o.uid in meshes]
+    """Indices of the objects that receive: no instances, texts or curves, which have no mesh to write to, nor objects of other files."""
     if request.target == "render":
         return []
-    return [i for i in own if arrays.objects[i].source in request.objects] if request.objects else own
+    meshes = {o.session_uid: o for o in bpy.data.objects if o.type == "MESH" and not targets.is_result(o)}
+    own = [i for i, o in enumerate(arrays.objects) if not o.instance and o.uid in meshes]
+    if request.objects:
+        return [i for i in own if arrays.objects[i].source in request.objects]
+    return [i for i in own if unwritable(meshes[arrays.objects[i].uid], request) is None]
 
 
 def emits(world: World) -> bool:
@@ -154,19 +198,12 @@ def estimates(world: World, request: BakeRequest, objects: int) -> list[Notice]:
     notices = []
     try:
         if solver.spec.uses_elements and world.triangle_count:
-            count = element_count(world, settings)
+            count = Elements.planned(world, settings.max_edge, solver.element_target(settings))
             what += f", {count:,} elements"
         needed += solver.memory(world, receivers, settings)
     except AdjointError as error:
         notices.append(error.notice)
     return notices + _memory_notice(solver.spec.label, needed, f"{world.triangle_count:,} triangles, {what}")
-
-
-def element_count(world: World, settings: Settings) -> int:
-    """Number of elements that the settings of an element method lead to."""
-    edge = float(getattr(settings, "max_edge", 0.0))
-    target = getattr(settings, "elements", None) or getattr(settings, "target_elements", None)
-    return (Elements(world, edge, int(target)) if target else Elements(world, edge)).count
 
 
 def triangle_count(depsgraph: bpy.types.Depsgraph) -> int:
@@ -197,8 +234,12 @@ def _named(context: bpy.types.Context, name: str) -> list[Notice]:
         reason = "is not in this view layer, or its collection is excluded" if known else "does not exist"
         have = ", ".join(o.name for o in context.view_layer.objects if o.type == "MESH") or "none"
         return [Notice(name, reason, f"Choose of the mesh objects: {have}", "error")]
+    if obj.is_missing:
+        return [Notice(name, *targets.missing(obj), "error")]
     if obj.type != "MESH":
         return [Notice(name, f"is a {obj.type.lower()}, not a mesh", "Convert it to a mesh", "error")]
+    if targets.is_result(obj):
+        return [Notice(name, "was made by a bake to hold a result, so nothing is baked to it", "Bake the object it was made of", "error")]
     if obj.hide_render:
         return [Notice(name, "is hidden in render, so no light reaches it", "Enable it in renders", "error")]
     return []
@@ -234,7 +275,8 @@ def _texture_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]
     if len(mesh.uv_layers) >= MOST:
         reason = f"has {len(mesh.uv_layers)} UV layers already, and Blender keeps no more than {MOST}"
         return [Notice(obj.name, reason, "Remove one, or name the one to bake into", "error")]
-    return [Notice(obj.name, "has no lightmap UV layer yet; one is made", "", "info")]
+    numbered = f' with a number, because it has one called "{NAME}"' if NAME in mesh.uv_layers else ""
+    return [Notice(obj.name, f"has no lightmap UV layer yet; one is made{numbered}", "", "info")]
 
 
 def has_own_layer(mesh: bpy.types.Mesh) -> bool:
@@ -261,15 +303,10 @@ def _output(request: BakeRequest) -> list[Notice]:
             reason = "the file was never saved and no folder is given: the result is kept in this session only"
             return [Notice("Output", reason, "Save the file or choose a folder", "info")]
         return []
-    folder = Path(request.output)
     try:
-        parent = next(p for p in (folder, *folder.absolute().parents) if p.exists())
-    except (OSError, ValueError) as error:
-        return [Notice(request.output, f"cannot be a folder ({error})", "Choose another folder", "error")]
-    if not parent.is_dir():
-        return [Notice(str(parent), "is a file, not a folder", "Choose another folder", "error")]
-    if not os.access(parent, os.W_OK | os.X_OK):
-        return [Notice(str(parent), "there is no permission to write there", "Choose a folder you may write to", "error")]
+        files.output_folder(request.output, create=False)
+    except AdjointError as error:
+        return [error.notice]
     return []
 
 

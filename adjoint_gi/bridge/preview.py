@@ -7,19 +7,21 @@ there is stored in a custom property of the object, which is saved with the file
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 
 import bpy
 import numpy as np
 
 from ..core.errors import TargetError
 from . import targets
-from .preview_material import make_material
+from .preview_material import aim, make_material
 from .write_attribute import linked_attribute
 
 STATE = "adjoint_gi_preview"  # custom property of the object: its slots before
 ADDED = "adjoint_gi_slot"  # custom property of a mesh without slots, which got one for the preview
 OURS = "adjoint_gi_material"  # custom property of our materials
+ORIGINAL = "adjoint_gi_original"  # custom property of our materials: the one of the user that each stands for, if any
 
 
 def show(objects: Sequence[bpy.types.Object], key: str, *, attribute: str = "") -> None:
@@ -52,6 +54,7 @@ def show(objects: Sequence[bpy.types.Object], key: str, *, attribute: str = "") 
             obj.data[ADDED] = True
         originals = [slot.material for slot in obj.material_slots]
         _remember(obj)
+        obj[STATE]["key"] = key
         # Step 3: ours in their place; two slots with the same material share one of ours.
         made: dict[str, bpy.types.Material] = {}
         for slot, material in zip(obj.material_slots, originals, strict=True):
@@ -59,6 +62,8 @@ def show(objects: Sequence[bpy.types.Object], key: str, *, attribute: str = "") 
             if title not in made:
                 made[title] = make_material(obj, key, material, entry, name)
                 made[title][OURS] = True
+                if material is not None:
+                    made[title][ORIGINAL] = material
             slot.link = "OBJECT"
             slot.material = made[title]
 
@@ -71,13 +76,7 @@ def restore(objects: Sequence[bpy.types.Object]) -> int:
         if state is None:
             continue
         count += 1
-        ours = {slot.material for slot in obj.material_slots if slot.material and slot.material.get(OURS)}
-        for index, slot in enumerate(obj.material_slots):
-            if f"link{index}" not in state or (slot.material is not None and not slot.material.get(OURS)):
-                continue  # a slot or material that the user has put there meanwhile
-            slot.link = "OBJECT"
-            slot.material = state.get(f"material{index}")
-            slot.link = state[f"link{index}"]
+        ours = {material for _, material in _put_back(obj) if material is not None}
         del obj[STATE]
         for material in ours:
             if material.users == 0:
@@ -86,9 +85,66 @@ def restore(objects: Sequence[bpy.types.Object]) -> int:
     return count
 
 
+def follow(obj: bpy.types.Object, key: str, attribute: str = "") -> None:
+    """Where `obj` shows an image (or an attribute) for `key`, have it show its present one (or `attribute`).
+
+    A bake may have given it another image, UV layer, place in an atlas, or name.
+    """
+    state = obj.get(STATE)
+    if state is None or state.get("key") != key:
+        return
+    entry = None if attribute else targets.link(obj, key)
+    for material in {s.material for s in obj.material_slots if s.material and s.material.get(OURS)}:
+        aim(material, entry, attribute)
+
+
 def shown(obj: bpy.types.Object) -> bool:
     """Whether `obj` shows a preview."""
     return obj.get(STATE) is not None
+
+
+def own_material(
+    obj: bpy.types.Object, index: int, material: bpy.types.Material | None, below: bpy.types.Material | None
+) -> tuple[bpy.types.Material | None, bool]:
+    """What the user has where `material` is, in slot `index` of `obj`, and whether that is lost because it was deleted.
+
+    Behind one of ours it is what `restore` would put back; `below` is the material that the mesh has in this slot. Where nothing is
+    remembered of the object, as in a mesh joined of several, it is what our material was made for.
+    """
+    if material is None or not material.get(OURS):
+        return material, False
+    stands_for = material.original.get(ORIGINAL, "")  # None when it was deleted, "" when the slot was empty
+    state = obj.original.get(STATE)
+    if state is None or f"link{index}" not in state or (below is not None and below.get(OURS)):
+        own = stands_for or None
+    else:
+        own = below if state[f"link{index}"] == "DATA" else state.get(f"material{index}")
+    return own, own is None and stands_for is None
+
+
+@contextlib.contextmanager
+def lifted(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
+    """The user's materials on `objects` for a while, as for a render by Cycles, and the preview again afterwards."""
+    ours = [(obj, index, material) for obj in objects if shown(obj) for index, material in _put_back(obj)]
+    try:
+        yield
+    finally:
+        for obj, index, material in ours:
+            obj.material_slots[index].link = "OBJECT"
+            obj.material_slots[index].material = material
+
+
+def _put_back(obj: bpy.types.Object) -> list[tuple[int, bpy.types.Material | None]]:
+    """Put the user's materials back into the slots that are ours; returns their indices with what was in them."""
+    state, out = obj[STATE], []
+    for index, slot in enumerate(obj.material_slots):
+        if f"link{index}" not in state or (slot.material is not None and not slot.material.get(OURS)):
+            continue  # a slot or material that the user has put there meanwhile
+        out.append((index, slot.material))
+        slot.link = "OBJECT"
+        slot.material = state.get(f"material{index}")
+        slot.link = state[f"link{index}"]
+    return out
 
 
 def _remember(obj: bpy.types.Object) -> None:

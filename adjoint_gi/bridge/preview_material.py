@@ -60,6 +60,16 @@ def make_material(
     return made
 
 
+def aim(material: bpy.types.Material, entry: Any | None, attribute: str) -> None:
+    """Have a material of ours show the image of the stored link `entry`, or the colour `attribute`, in place of one of the same kind."""
+    ours = [n for n in material.node_tree.nodes if n.type == "GROUP" and n.node_tree is not None and n.node_tree.get("adjoint_gi")]
+    for link in [link for node in ours for link in node.inputs["Result"].links]:
+        if link.from_node.type == "TEX_IMAGE" and entry is not None:
+            _aim_image(link.from_node, entry)
+        elif link.from_node.type == "VERTEX_COLOR" and attribute:
+            link.from_node.layer_name = attribute
+
+
 def preview_group() -> bpy.types.NodeTree:
     """Our node group Base Color x Result / pi -> Emission, made once for each file."""
     for tree in bpy.data.node_groups:
@@ -86,20 +96,21 @@ def preview_group() -> bpy.types.NodeTree:
 
 def _image(nodes: bpy.types.Nodes, links: bpy.types.NodeLinks, entry: Any) -> bpy.types.NodeSocket:
     """Nodes that read the linked image; returns their colour socket."""
-    uv, texture = nodes.new("ShaderNodeUVMap"), nodes.new("ShaderNodeTexImage")
-    uv.uv_map = entry.get("uv_layer", "")
-    texture.image = entry["image"]
+    uv, mapping, texture = (nodes.new(f"ShaderNode{x}") for x in ("UVMap", "Mapping", "TexImage"))
     texture.extension = "EXTEND"
-    scale, offset = list(entry.get("scale", (1, 1))), list(entry.get("offset", (0, 0)))
-    if scale != [1, 1] or offset != [0, 0]:
-        mapping = nodes.new("ShaderNodeMapping")
-        mapping.inputs["Scale"].default_value = (*scale, 1)
-        mapping.inputs["Location"].default_value = (*offset, 0)
-        links.new(uv.outputs["UV"], mapping.inputs["Vector"])
-        links.new(mapping.outputs["Vector"], texture.inputs["Vector"])
-    else:
-        links.new(uv.outputs["UV"], texture.inputs["Vector"])
+    links.new(uv.outputs["UV"], mapping.inputs["Vector"])
+    links.new(mapping.outputs["Vector"], texture.inputs["Vector"])
+    _aim_image(texture, entry)
     return texture.outputs["Color"]
+
+
+def _aim_image(texture: bpy.types.Node, entry: Any) -> None:
+    """Have `texture`, made by `_image`, show the image of the stored link `entry` where its object has its place in it."""
+    mapping = texture.inputs["Vector"].links[0].from_node
+    mapping.inputs["Vector"].links[0].from_node.uv_map = entry.get("uv_layer", "")
+    mapping.inputs["Scale"].default_value = (*entry.get("scale", (1, 1)), 1)
+    mapping.inputs["Location"].default_value = (*entry.get("offset", (0, 0)), 0)
+    texture.image = entry["image"]
 
 
 def _attribute(nodes: bpy.types.Nodes, name: str) -> bpy.types.NodeSocket:

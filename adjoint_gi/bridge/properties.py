@@ -15,11 +15,12 @@ from ..core import registry
 from ..core.errors import SettingsError
 from ..core.registry import MethodSpec, Nature, Solver, Strategy
 from ..core.settings import Settings
-from . import fields
+from . import fields, results
 from .records import ADJOINTGI_PG_notice, ADJOINTGI_PG_result
 from .request import BakeRequest, fitting_quantity
+from .versions import FOLDER
 
-__all__ = ["MethodSpec", "chosen", "group_name", "method_label", "own_and_common", "quadrant", "request_of", "settings_of"]
+__all__ = ["MethodSpec", "chosen", "folder_of", "group_name", "method_label", "own_and_common", "quadrant", "request_of", "settings_of"]
 
 STRATEGIES = (
     (Strategy.GATHERING.value, "Gathering", "Solve the radiance equation: light is collected backwards from where it is wanted", 0),
@@ -119,6 +120,7 @@ class Root:
         description="Where EXR files are saved. Empty: the image is kept in the .blend file only",
         default="",
         subtype="DIR_PATH",
+        options=FOLDER,
     )
     result: bpy.props.PointerProperty(type=ADJOINTGI_PG_result)
 
@@ -159,9 +161,9 @@ def request_of(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer | None = 
     if solver is None:
         raise SettingsError("Method", f"no method is both {state.strategy} and {state.nature}", "Choose another strategy or nature")
     layer = view_layer or scene.view_layers[0]
-    objects = tuple(o.name for o in layer.objects.selected if o.type == "MESH") if state.selection_only else ()
+    objects = results.selected(layer) if state.selection_only else ()
     if state.selection_only and not objects and state.target != "render":
-        raise SettingsError("Selected Only", "is on, but no mesh object is selected", "Select what to bake, or turn it off in Output")
+        raise SettingsError("Selected Only", *results.nothing_selected(layer))
     return BakeRequest(
         method=solver.spec.id,
         settings=settings_of(scene, solver.spec.id),
@@ -176,8 +178,13 @@ def request_of(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer | None = 
         attribute=state.attribute,
         domain=state.domain,
         new_object=state.new_object,
-        output=bpy.path.abspath(state.folder) if state.folder else "",
+        output=folder_of(scene, state.target),
     )
+
+
+def folder_of(scene: bpy.types.Scene, target: str) -> str:
+    """The folder for files as it was typed; empty for an attribute, which only the .blend file holds."""
+    return scene.adjoint_gi.folder if target != "attribute" else ""
 
 
 def _get_method(self: bpy.types.PropertyGroup) -> int:

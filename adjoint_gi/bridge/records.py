@@ -44,6 +44,7 @@ class ADJOINTGI_PG_result(bpy.types.PropertyGroup):
     unshot: bpy.props.FloatProperty(description="Flux in W, sum of the channels")
     gap: bpy.props.FloatProperty(description="Share of the flux that is not accounted for")
     mean: bpy.props.FloatVectorProperty(size=3, description="Mean of the quantity over the receivers")
+    new_object: bpy.props.BoolProperty(description="The attribute is on objects made for it")
     applied: bpy.props.BoolProperty(default=True, description="The result was written to the objects")
     notices: bpy.props.CollectionProperty(type=ADJOINTGI_PG_notice)
     files: bpy.props.StringProperty(description="Files written, one a line")
@@ -56,6 +57,7 @@ def store(
     target: str,
     quantity: str,
     applied: bool,
+    new_object: bool = False,
     files: Iterable[str] = (),
     notices: Iterable[Notice] = (),
 ) -> None:
@@ -63,7 +65,7 @@ def store(
     clear(record)
     record.method, record.target, record.quantity = solution.method, target, quantity
     record.seconds, record.rays, record.partial = solution.seconds, str(int(solution.rays)), solution.partial
-    record.applied = applied
+    record.applied, record.new_object = applied, new_object
     record.files = "\n".join(files)
     if solution.balance is not None:
         b = solution.balance

@@ -99,7 +99,7 @@ def of_solution(solution: Solution) -> dict[str, Any]:
 
 def as_dict(notice: Notice) -> dict[str, str]:
     """A notice for JSON."""
-    return asdict(notice)
+    return {name: getattr(notice, name) for name in ("object", "reason", "remedy", "severity")}
 
 
 def versions() -> dict[str, str]:

@@ -104,10 +104,12 @@ def fitting_quantity(solver: Solver, quantity: str) -> str:
 
 
 def raise_first(notices: list[Notice]) -> None:
-    """Raise `AdjointError` for the first notice that is an error."""
-    for notice in notices:
-        if notice.severity == "error":
-            raise AdjointError(notice.object, notice.reason, notice.remedy)
+    """Raise `AdjointError` for the first notice that is an error; it carries the other errors as `others`."""
+    errors = [n for n in notices if n.severity == "error"]
+    if errors:
+        error = AdjointError(errors[0].object, errors[0].reason, errors[0].remedy)
+        error.others = tuple(errors[1:])
+        raise error
 
 
 def _bounds(name: str, value: int, low: int, high: int) -> list[Notice]:

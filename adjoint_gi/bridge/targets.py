@@ -14,30 +14,53 @@ import bpy
 from ..core.errors import TargetError
 
 RESULTS = "adjoint_gi_results"
+MADE = "adjoint_gi_made"  # custom property of the objects that a bake has made to hold its result
 
 
 def check_object(obj: bpy.types.Object) -> None:
     """Raise TargetError unless `obj` is a mesh object of this file."""
     if obj.type != "MESH":
         raise TargetError(obj.name, f"is a {obj.type.lower()} and has no mesh to write to", "Convert it to a mesh")
-    if not obj.is_editable or obj.library is not None:
-        raise TargetError(obj.name, "is linked from another file and cannot keep a result", "Make it local, or bake in its own file")
-    if obj.override_library is not None:
-        raise TargetError(obj.name, "is a library override and cannot keep a result", "Make it local, or bake in its own file")
+    error = linked(obj, False)
+    if error is not None:
+        raise error
 
 
 def check_mesh(obj: bpy.types.Object) -> None:
     """`check_object`, and that the mesh itself may be changed: not linked, and in edit mode on no object."""
     check_object(obj)
+    error = linked(obj, True)
+    if error is not None:
+        raise error
     mesh = obj.data
-    if not mesh.is_editable or mesh.library is not None or mesh.override_library is not None:
-        raise TargetError(
-            obj.name,
-            f'its mesh "{mesh.name}" is linked from another file, where changes would be lost',
-            "Make the mesh local (Make Single User)",
-        )
     if any(other.data == mesh and other.mode == "EDIT" for other in bpy.data.objects if other.type == "MESH"):
-        raise TargetError(obj.name, f'its mesh "{mesh.name}" is in edit mode', "Leave edit mode first")
+        raise TargetError(obj.name, "its mesh is in edit mode", "Leave edit mode first")
+
+
+def linked(obj: bpy.types.Object, mesh: bool) -> TargetError | None:
+    """Why a mesh object (with `mesh`, or its mesh) belongs to another file and cannot keep a result; None when it can."""
+    if not obj.is_editable or obj.library is not None:
+        return TargetError(obj.name, "is linked from another file and cannot keep a result", "Make it local, or bake in its own file")
+    if obj.override_library is not None:
+        return TargetError(obj.name, "is a library override and cannot keep a result", "Make it local, or bake in its own file")
+    data = obj.data
+    if mesh and (not data.is_editable or data.library is not None or data.override_library is not None):
+        reason = f'its mesh "{data.name}" is linked from another file, where changes would be lost'
+        return TargetError(obj.name, reason, "Make the mesh local (Make Single User)")
+    return None
+
+
+def missing(obj: bpy.types.Object) -> tuple[str, str]:
+    """Reason and remedy for an empty that stands for an object that could not be linked."""
+    library = obj.library
+    if library is None or not library.is_missing:
+        return "is not in its library file any more and is left out", "Link it again, or remove it"
+    return f'is left out: its library file is missing ("{library.filepath}")', "Put the file back, or relocate it in the outliner"
+
+
+def is_result(obj: bpy.types.Object) -> bool:
+    """Whether a bake has made `obj` to hold its result: then nothing is baked to it."""
+    return obj.get(MADE) is not None
 
 
 def sharing(obj: bpy.types.Object) -> list[bpy.types.Object]:

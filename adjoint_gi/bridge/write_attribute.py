@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import zlib
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import numpy as np
 
 from ..core.atomic import require_finite
-from ..core.errors import TargetError, WriteError
+from ..core.errors import Notice, TargetError, WriteError
 from . import targets
 
-STORED = "adjoint_gi_attributes"  # custom property of the mesh: key -> name of our attribute
+# Custom property of the mesh: key -> JSON list of our attributes, the one written last at the end. Each has the name that was wanted,
+# the name it has, and a checksum of what was written, by which it is found after the user has renamed it.
+STORED = "adjoint_gi_attributes"
 OBJECT = "object"  # key of the link to the separate result object
 # Modifiers that move vertices or change data but never add, remove or reorder any.
 KEEPS_TOPOLOGY = {
@@ -47,10 +52,14 @@ KEEPS_TOPOLOGY = {
 
 @dataclass(frozen=True)
 class WrittenAttribute:
-    """Where a result went: the object (another one for `new_object`) and the name the attribute got."""
+    """Where a result went: the object (another one for `new_object`) and the name of the attribute.
+
+    `taken` says that a new attribute got another name than was wanted, because something else has that one.
+    """
 
     object: bpy.types.Object
     attribute: str
+    taken: Notice | None = None
 
 
 def check_attribute_target(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, new_object: bool = False) -> None:
@@ -103,7 +112,8 @@ def write_attribute(
 ) -> WrittenAttribute:
     """Write `values` (n, 3) for the POINT or CORNER `domain` of the evaluated mesh, with `covered` (n,) as alpha.
 
-    Our own attribute for `key` is updated; otherwise a new one is made, which gets a number if something else has the name already.
+    Our own attribute for `key` that was made for this `name` is updated, also when the user has renamed it; otherwise a new one is
+    made, which gets a number if something else has the name already.
     With `new_object` the evaluated mesh becomes the mesh of a separate object "NAME GI", hidden from renders so that it does not
     take part in the next bake. Raises TargetError when the mesh has changed since it was read, WriteError on a failed read-back.
     """
@@ -129,27 +139,34 @@ def write_attribute(
     target = place_result_object(obj, mesh) if new_object else obj
 
     colors = np.concatenate([values, covered[:, None]], axis=1)
-    return WrittenAttribute(target, fill_attribute(obj, mesh, key, domain, name, colors))
+    return fill_attribute(target, key, domain, name, colors)
 
 
-def fill_attribute(obj: bpy.types.Object, mesh: bpy.types.Mesh, key: str, domain: str, name: str, colors: np.ndarray) -> str:
-    """Write `colors` (n, 4) float32 to our attribute for `key` on `mesh`, new or reused; returns its name. Raises WriteError."""
-    attribute = _attribute(mesh, key, domain, name)
+def fill_attribute(obj: bpy.types.Object, key: str, domain: str, name: str, colors: np.ndarray) -> WrittenAttribute:
+    """Write `colors` (n, 4) float32 to our attribute for `key` and `name` on `obj`, new or reused. Raises TargetError, WriteError."""
+    mesh = obj.data
+    attribute, is_new = _attribute(mesh, key, domain, name)
     data = np.ascontiguousarray(colors, np.float32)
     attribute.data.foreach_set("color", data.ravel())
     mesh.update()
-    back = np.empty(data.size, np.float32)
-    attribute.data.foreach_get("color", back)
-    if not np.array_equal(back.view(np.uint32), data.ravel().view(np.uint32)):
-        raise WriteError(obj.name, f'attribute "{attribute.name}" does not hold the values that were written', "Bake again")
-    return attribute.name
+    made = attribute.name
+    if not np.array_equal(_values(attribute).view(np.uint32), data.ravel().view(np.uint32)):
+        raise WriteError(obj.name, f'attribute "{made}" does not hold the values that were written', "Bake again")
+    others = [e for e in _entries(mesh, key) if made != e["name"] and name != e["wanted"]]
+    if mesh.get(STORED) is None:
+        mesh[STORED] = {}
+    mesh[STORED][key] = json.dumps([*others, {"wanted": name, "name": made, "sum": zlib.crc32(data.tobytes())}])
+    taken = None
+    if is_new and made != name:
+        reason = f'has something else called "{name}", so the result is in the attribute "{made}"'
+        taken = Notice(obj.name, reason, "Rename one of them, or choose another name in Output", "warning")
+    return WrittenAttribute(obj, made, taken)
 
 
 def linked_attribute(obj: bpy.types.Object, key: str) -> str | None:
-    """Name of our attribute for `key` on the object's mesh, or None."""
-    stored = obj.data.get(STORED) if obj.type == "MESH" else None
-    name = stored.get(key) if stored is not None else None
-    return name if name is not None and name in obj.data.attributes else None
+    """Name of our attribute for `key` on the object's mesh, the one written last if there are several, or None."""
+    found = [_find(obj.data, entry) for entry in _entries(obj.data, key)[-1:]] if obj.type == "MESH" else []
+    return found[0].name if found and found[0] is not None else None
 
 
 def result_object(obj: bpy.types.Object) -> bpy.types.Object | None:
@@ -165,10 +182,11 @@ def remove_attributes(obj: bpy.types.Object) -> int:
     if stored is None:
         return 0
     for key in list(stored.keys()):
-        name = linked_attribute(obj, key)
-        if name is not None:
-            mesh.attributes.remove(mesh.attributes[name])
-            removed += 1
+        for entry in _entries(mesh, key):
+            attribute = _find(mesh, entry)
+            if attribute is not None:
+                mesh.attributes.remove(attribute)
+                removed += 1
     del mesh[STORED]
     return removed
 
@@ -186,32 +204,49 @@ def remove_result_object(obj: bpy.types.Object) -> bool:
     return True
 
 
-def _attribute(mesh: bpy.types.Mesh, key: str, domain: str, name: str) -> bpy.types.Attribute:
-    """Our attribute for `key`, new or reused; which colours are active and rendered stays as chosen by the user."""
+def _entries(mesh: bpy.types.Mesh, key: str) -> list[dict[str, Any]]:
+    """What is stored of our attributes for `key`, the one written last at the end."""
+    stored = mesh.get(STORED)
+    return json.loads(stored[key]) if stored is not None and key in stored else []
+
+
+def _find(mesh: bpy.types.Mesh, entry: dict[str, Any]) -> bpy.types.Attribute | None:
+    """The attribute of a stored entry: by its name, or, where none has that, the one that still holds what was written."""
+    found = mesh.attributes.get(entry["name"])
+    if found is not None:
+        return found if found.data_type == "FLOAT_COLOR" else None
+    # Attributes have no identity but their name.
+    colors = [a for a in mesh.color_attributes if a.data_type == "FLOAT_COLOR"]
+    return next((a for a in colors if zlib.crc32(_values(a).tobytes()) == entry["sum"]), None)
+
+
+def _values(attribute: bpy.types.Attribute) -> np.ndarray:
+    """(4 n,) float32 of a colour attribute."""
+    out = np.empty(4 * len(attribute.data), np.float32)
+    attribute.data.foreach_get("color", out)
+    return out
+
+
+def _attribute(mesh: bpy.types.Mesh, key: str, domain: str, name: str) -> tuple[bpy.types.Attribute, bool]:
+    """Our attribute for `key` and `name`, and whether it is new; which colours are active and rendered stays as chosen by the user."""
     colors = mesh.color_attributes
     chosen = colors.active_color_name, colors.default_color_name
-    stored = mesh.get(STORED)
-    if stored is None:
-        mesh[STORED] = {}
-        stored = mesh[STORED]
-    old = mesh.attributes.get(stored.get(key, ""))
-    if old is not None and old.data_type == "FLOAT_COLOR" and old.domain == domain:
-        return old
-    if old is not None and old.data_type == "FLOAT_COLOR":  # ours, from a bake to the other domain
-        was_chosen = old.name in chosen
+    old = next((_find(mesh, entry) for entry in _entries(mesh, key) if entry["wanted"] == name), None)
+    if old is not None and old.domain == domain:
+        return old, False
+    was_chosen, title = False, name
+    if old is not None:  # from a bake to the other domain
+        was_chosen, title = old.name in chosen, old.name
         mesh.attributes.remove(old)
-    else:
-        was_chosen = False
-    made = mesh.attributes.new(name, "FLOAT_COLOR", domain)
+    made = mesh.attributes.new(title, "FLOAT_COLOR", domain)
     if made is None:
         raise TargetError(mesh.name, f'no attribute "{name}" could be added', "Remove another attribute or choose another name")
     made_name = made.name
-    mesh[STORED][key] = made_name
     if chosen[0] and not was_chosen:
         colors.active_color_name = chosen[0]
     if chosen[1] and not was_chosen:
         colors.default_color_name = chosen[1]
-    return mesh.attributes[made_name]
+    return mesh.attributes[made_name], old is None
 
 
 def place_result_object(obj: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
@@ -220,15 +255,17 @@ def place_result_object(obj: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.type
     made = result_object(obj)
     if made is None:
         made = bpy.data.objects.new(obj.name + " GI", mesh)
-        for collection in obj.users_collection:
-            collection.objects.link(made)
         made.hide_render = True
+        made[targets.MADE] = True
         targets.store(obj, OBJECT, made=made)
     else:
         old = made.data
         made.data = mesh
         if old != mesh and old.users == 0:
             bpy.data.meshes.remove(old)
+    if not made.users_collection:  # new, or deleted by the user, when the link alone keeps it
+        for collection in obj.users_collection:
+            collection.objects.link(made)
     made.matrix_world = obj.matrix_world.copy()
     return made
 

@@ -11,6 +11,7 @@ from ..core.atomic import require_finite
 from ..core.element_mesh import ElementMesh
 from ..core.errors import TargetError, WriteError
 from ..core.scene import ObjectArrays, SceneArrays
+from .preview import own_material
 from .write_attribute import WrittenAttribute, check_attribute_target, fill_attribute, place_result_object, result_object
 
 
@@ -74,8 +75,8 @@ def write_elements(
         data.polygons.add(len(face))
         data.loops.foreach_set("vertex_index", corners)
         data.polygons.foreach_set("loop_start", start.astype(np.int32))
-        for slot in obj.material_slots:
-            data.materials.append(slot.material)
+        for i, slot in enumerate(obj.material_slots):
+            data.materials.append(own_material(obj, i, slot.material, obj.data.materials[i])[0])
         # Vertices are double along hard edges, so smooth shading is right everywhere.
         data.polygons.foreach_set("use_smooth", np.ones(len(face), bool))
     data.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
@@ -87,7 +88,7 @@ def write_elements(
     if flat:
         target.matrix_world = Matrix.Identity(4)
     colors = np.concatenate([values, covered[:, None]], axis=1)[used]
-    return WrittenAttribute(target, fill_attribute(obj, data, key, domain, name, colors if domain == "POINT" else colors[corners]))
+    return fill_attribute(target, key, domain, name, colors if domain == "POINT" else colors[corners])
 
 
 def _slots(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, arrays: ObjectArrays, polygon: np.ndarray) -> np.ndarray:

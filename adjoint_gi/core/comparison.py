@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from .agreement import EVERY_LENGTH
 from .errors import AdjointError, Notice, SettingsError
 from .receivers import Receivers
 from .registry import Nature, Solver
@@ -31,6 +32,8 @@ KINDS = {"time": "s", "rays": "rays", "error": "relative RMSE"}
 SPACING = 1.35  # ratio of the times of two snapshots
 FIRST = 0.02  # seconds before which no second snapshot is made
 EFFORT = ("samples", "particles")  # settings that make a random method work longer; the budget ends them
+FINER = ("rays", "max_edge", "light_samples")  # settings that make a method that ends by itself more exact
+SPARE = 0.9  # share of a budget below which such a method has not used it
 MARGIN = 2.0  # so many times the samples that a trial run says fit the budget: it must be the budget that ends the run
 PILOT = 2.0  # most seconds spent to find how many samples fit a budget
 EVERYWHERE = 0.99  # share of receivers that must have got an answer
@@ -81,11 +84,12 @@ class Budget:
             return f"equal rays, {self.value:,.0f} each"
         return f"equal error, relative RMSE {100 * self.value:g} %"
 
-    def scaled(self, share: float) -> Budget:
-        """A share of it; an error cannot be shared, so then it is a share of the time limit."""
-        if self.kind == "error":
-            return Budget("time", share * self.limit, self.limit)
-        return Budget(self.kind, share * self.value, self.limit)
+    def scaled(self, share: float, seconds: float = 0.0, rays: int = 0) -> Budget:
+        """A share of what is left of it after so many seconds or rays, on top of these; an error cannot be shared, so then it is a share of
+        the time limit."""
+        if self.kind == "rays":
+            return Budget("rays", rays + share * max(self.value - rays, 0.0), self.limit)
+        return Budget("time", seconds + share * max(self.seconds - seconds, 0.0), self.limit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +136,10 @@ class Entry:
     bias      relative difference of its mean to the reference's
     notices   its own warnings, replaced lobes among them
     random    another seed gives another result that is as good
-    endless   more samples would go on improving it, so that its result means the same at any time
+    endless   more samples would go on improving it, so that its result means the same at any time after its first sample
     fluxes    (k, g) W, of k independent runs; None where there were none
+    first     rays after which its first samples are in
+    lengths   shortest and longest path that it counts
     """
 
     method: str
@@ -150,12 +156,20 @@ class Entry:
     random: bool = False
     endless: bool = False
     fluxes: np.ndarray | None = None
+    first: int = 0
+    lengths: tuple[int, int] = EVERY_LENGTH
 
     @property
     def complete(self) -> bool:
-        """Whether the result is what the method promises: when it has ended, or at any time where samples are all that is added."""
-        everywhere = bool(len(self.solution.weight)) and float((self.solution.weight > 0).mean()) > EVERYWHERE
-        return everywhere and (self.endless or not self.solution.partial)
+        """Whether the result is what the method promises."""
+        return is_complete(self.solution, self.endless, self.first)
+
+
+def is_complete(solution: Solution, endless: bool, first: int) -> bool:
+    """Whether a result is what its method promises: when it has ended, or any time after the `first` rays where samples are all that is
+    added then; and there is a value (almost) everywhere."""
+    everywhere = bool(len(solution.weight)) and float((solution.weight > 0).mean()) > EVERYWHERE
+    return everywhere and (not solution.partial or (endless and solution.rays >= first))
 
 
 def quantity(solution: Solution) -> np.ndarray:
@@ -255,13 +269,9 @@ class Meter:
 
 
 def effort_of(solver: Solver) -> str:
-    """The setting that a budget stands in for, "" where a method ends by itself.
-
-    Only of methods that add nothing but samples: one that solves something first gives what it promises only when it has ended.
-    """
+    """The setting that a budget stands in for, "" where a method ends by itself: only random samples go on improving a result."""
     names = {f.name for f in dataclasses.fields(solver.Settings)}
-    only = solver.spec.natures == (Nature.NONDETERMINISTIC,)
-    return next((name for name in EFFORT if only and name in names), "")
+    return next((name for name in EFFORT if is_random(solver) and name in names), "")
 
 
 def is_random(solver: Solver) -> bool:
@@ -269,16 +279,50 @@ def is_random(solver: Solver) -> bool:
     return Nature.NONDETERMINISTIC in solver.spec.natures
 
 
-def with_effort(solver: Solver, world: World, receivers: Receivers, settings: Settings, budget: Budget) -> Iterator[Settings | None]:
-    """Find settings with so many samples that the budget ends the run: a short trial run says how fast they come.
+@dataclass(frozen=True)
+class Effort:
+    """Settings that let the budget end a run. A method that solves something before its samples come in takes about `seconds` for that, and
+    `rays` with the first sample: before these its result is not what it promises. `endless`: whether samples are all that is added then."""
 
-    Yields None after every step of the trial, which is not counted, and the settings last. A number of samples that is much too high
-    would cost evenness (strata) and memory (elements by the number of particles), so the next power of two is taken.
-    """
+    settings: Settings
+    endless: bool
+    seconds: float = 0.0
+    rays: int = 0
+
+
+def with_effort(solver: Solver, world: World, receivers: Receivers, settings: Settings, budget: Budget) -> Iterator[Effort | None]:
+    """Find settings with so many samples that the budget ends the run. Yields None after every step of a trial run, which is not counted,
+    and the effort last."""
     name = effort_of(solver)
     if not name:
-        yield settings
+        yield Effort(settings, False)
         return
+    find = _samples_that_fit if solver.spec.natures == (Nature.NONDETERMINISTIC,) else _after_first_pass
+    yield from find(name, solver, world, receivers, settings, budget)
+
+
+def _after_first_pass(
+    name: str, solver: Solver, world: World, receivers: Receivers, settings: Settings, budget: Budget
+) -> Iterator[Effort | None]:
+    """The same for methods that solve something first: a trial run with one sample says how long that takes. These draw every sample alike,
+    so that any number will do, and the highest possible lets the budget end the run."""
+    trial = Meter(solver, world, receivers, dataclasses.replace(settings, **{name: 1}), None)
+    with closing(trial):
+        while trial.seconds <= budget.seconds and trial.advance():
+            yield None
+        if not trial.ended:
+            # Not one sample within the whole budget: its own settings are as good as any, and its result is partial.
+            yield Effort(settings, False)
+            return
+        most = next(f for f in dataclasses.fields(settings) if f.name == name).metadata["max"]
+        yield Effort(dataclasses.replace(settings, **{name: most}), True, trial.seconds, int(trial.solution().rays))
+
+
+def _samples_that_fit(
+    name: str, solver: Solver, world: World, receivers: Receivers, settings: Settings, budget: Budget
+) -> Iterator[Effort | None]:
+    """The same for methods that only add samples: a short trial run says how fast they come. A number of samples that is much too high
+    would cost evenness (strata) and memory (elements by the number of particles), so the next power of two is taken."""
     trial = Meter(solver, world, receivers, settings, None)
     longest = min(PILOT, 0.15 * budget.seconds)
     first = None
@@ -293,7 +337,7 @@ def with_effort(solver: Solver, world: World, receivers: Receivers, settings: Se
         rays = trial.solution().rays if trial.step is not None else 0
     if fraction <= 0:
         # Not one sample within the whole budget: its own settings are as good as any.
-        yield settings
+        yield Effort(settings, True)
         return
     start, begun = first or (0.0, 0.0)
     if fraction > begun and trial.seconds > start:
@@ -306,7 +350,7 @@ def with_effort(solver: Solver, world: World, receivers: Receivers, settings: Se
     at = next(f for f in dataclasses.fields(settings) if f.name == name)
     wanted = 2 ** math.ceil(math.log2(max(1.0, MARGIN * share * getattr(settings, name))))
     top = at.metadata["max"]
-    yield dataclasses.replace(settings, **{name: int(min(wanted, top) if top is not None else wanted)})
+    yield Effort(dataclasses.replace(settings, **{name: int(min(wanted, top) if top is not None else wanted)}), True)
 
 
 def reason_not_to(solver: Solver, world: World, receivers: Receivers, settings: Settings) -> Notice | None:
@@ -356,6 +400,32 @@ class Plan:
         """All fields, ready for JSON."""
         out = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         return out | {"budget": dataclasses.asdict(self.budget), "settings": {k: v.as_dict() for k, v in self.settings.items()}}
+
+
+def lengths_counted(settings: Settings, measure: str) -> tuple[int, int]:
+    """The shortest and longest path that a method counts; own emission is no part of irradiance. Methods have different longest paths where
+    nothing is set, all so long that they are taken as alike."""
+    return (max(settings.min_length, int(measure == "irradiance")), min(settings.max_length, EVERY_LENGTH[1]))
+
+
+def unused_budget(label: str, settings: Settings, seconds: float, budget: Budget) -> Notice | None:
+    """What to say of a method that has ended by itself, None where it has used the time."""
+    if budget.kind != "time" or seconds >= SPARE * budget.seconds:
+        return None
+    names = [f"{name} (now {getattr(settings, name):,})" for name in FINER if hasattr(settings, name)]
+    reason = f"ended by itself after {seconds:.2g} of {budget.seconds:g} s: more time changes nothing at its settings"
+    remedy = f"To let it use the time, choose finer settings: {', '.join(names)}" if names else "Read its error as one at less time"
+    return Notice(label, reason, remedy, "info")
+
+
+def known_above_zero(reference: Reference) -> Reference:
+    """`reference`, or SettingsError where no relative error can be told from it."""
+    if not reference.valid.any():
+        raise SettingsError("reference", f"{reference.label} is known at no receiver", "Choose another reference, or none")
+    if not reference.mean > 0:
+        reason = f"the mean of {reference.label} is {reference.mean:g}, but a relative error needs a mean above 0"
+        raise SettingsError("reference", reason, "Choose another reference, or none to see fluxes and agreement only")
+    return reference
 
 
 def winner(entries: Sequence[Entry], budget: Budget) -> Entry | None:

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
 class Notice:
     """One sentence for the user: which object, what is wrong, what to do about it.
 
-    `severity` is "info", "warning" or "error"; an error in a pre-flight list refuses the bake.
+    `severity` is "info", "warning" or "error"; an error in a pre-flight list refuses the bake. Where one sentence is about several
+    objects, `names` holds all of them, and `object` a list that may be cut short.
     """
 
     object: str
     reason: str
     remedy: str = ""
     severity: str = "warning"
+    names: tuple[str, ...] = field(default=(), compare=False, repr=False)
 
     def __str__(self) -> str:
         text = f"{self.object}: {self.reason}" if self.object else self.reason
@@ -23,7 +25,9 @@ class Notice:
 
 
 class AdjointError(Exception):
-    """Base of every error raised on purpose; carries the `Notice` that is shown to the user."""
+    """Base of every error raised on purpose; carries the `Notice` that is shown to the user, and `others` found at the same time."""
+
+    others: tuple[Notice, ...] = ()
 
     def __init__(self, object: str, reason: str, remedy: str = "") -> None:
         self.notice = Notice(object, reason, remedy, "error")

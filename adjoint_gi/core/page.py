@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .agreement import Agreement
+from .agreement import LOUD, Agreement
 from .comparison import STATES, Budget, Entry
 from .png import encode_png
 from .run_comparison import Result
@@ -54,14 +54,18 @@ def number(value: float | None) -> str:
 
 
 def gap_of(result: Result, entry: Entry) -> float | None:
-    """The duality gap (<L, g> - <W, Le>) / <W, Le> of one method over all receivers; None where it is not known."""
+    """The duality gap (<L, g> - <W, Le>) / <W, Le> of one method over all receivers; None where it is not known, or where the method counts
+    other path lengths."""
     shot = result.shot
-    return None if shot is None or not shot[0] or not entry.complete else result.gathered(entry) / shot[0] - 1
+    known = shot is not None and shot[0] and entry.complete and entry.lengths == result.lengths
+    return None if not known else result.gathered(entry) / shot[0] - 1
 
 
 def best_text(result: Result) -> str:
     """Who wins, in one sentence."""
     best = result.winner
+    if result.partial:
+        return "There is no winner, as not all methods have run to their ends."
     if best is None:
         return "No method reached the error." if result.budget.kind == "error" else "There is no winner without a reference."
     if result.budget.kind == "error":
@@ -86,7 +90,7 @@ def page(
         parts.append('<p class="loud">The comparison was stopped before its end.</p>')
     if facts:
         parts.append('<p class="quiet">' + " &middot; ".join(f"{escape(k)}: {escape(v)}" for k, v in facts) + "</p>")
-    loud = [line for line in result.agreement.lines if line.startswith("DISAGREE")] if result.agreement is not None else []
+    loud = [line for line in result.agreement.lines if line.startswith(LOUD)] if result.agreement is not None else []
     parts += [f'<p class="loud">{escape(line)}</p>' for line in loud]
     parts += ["<h2>Results</h2>", _results(result)]
     if result.refused:
@@ -139,8 +143,8 @@ def _results(result: Result) -> str:
 
 
 def _agreement(found: Agreement) -> str:
-    styles = {"Agree": "good", "Differs": "known"}
-    said = [line for line in found.lines if not line.startswith("DISAGREE")]  # these stand at the top of the page
+    styles = {"Agree": "good", "Differs": "known", "Not compared": "known"}
+    said = [line for line in found.lines if not line.startswith(LOUD)]  # these stand at the top of the page
     lines = [f'<p class="{styles[next(s for s in styles if line.startswith(s))]}">{escape(line)}</p>' for line in said]
     methods = found.methods
     shot = found.shot
@@ -150,7 +154,8 @@ def _agreement(found: Agreement) -> str:
         cells = [escape(name), f"{shot.value[i]:.4g} &plusmn; {shot.error[i]:.1g}" if shot is not None else ""]
         for k, m in enumerate(methods):
             noise = f" &plusmn; {m.error[i]:.1g}" if m.freedom else ""
-            gap = f"<br><span class=quiet>{100 * found.gaps[k, i]:+.3g} %</span>" if found.gaps is not None else ""
+            known = found.gaps is not None and math.isfinite(found.gaps[k, i])
+            gap = f"<br><span class=quiet>{100 * found.gaps[k, i]:+.3g} %</span>" if known else ""
             cells.append(f"{m.value[i]:.4g}{noise}{gap}")
         rows.append((cells, False))
     pairs = [
@@ -164,7 +169,7 @@ def _agreement(found: Agreement) -> str:
         about = (
             f"Flux of each object in {unit}: by Eq. 4 from particles of all lights, and by Eq. 3 from each method with its standard error. "
         )
-        about += "Below stands the gap between the two equations."
+        about += "Below stands the gap between the two equations. Both weigh light as the points of the receivers do."
     parts = [*lines, f"<p class=quiet>{escape(about)}</p>", _table(head, rows)]
     if pairs:
         summary = f"All {len(pairs)} pairs, each at the object where it differs most significantly"
@@ -242,6 +247,7 @@ def _entry(result: Result, e: Entry) -> dict[str, Any]:
         "label": e.label,
         "state": e.state,
         "complete": e.complete,
+        "lengths": list(e.lengths),
         "error": e.error,
         "bias": e.bias,
         "seconds": e.seconds,
@@ -278,7 +284,8 @@ def _agreement_json(a: Agreement) -> dict[str, Any]:
                 "error": m.error.tolist(),
                 "freedom": m.freedom,
                 "allowance": m.allowance,
-                "gap": a.gaps[k].tolist() if a.gaps is not None else None,
+                "lengths": list(m.lengths),
+                "gap": a.gaps[k].tolist() if a.gaps is not None and np.isfinite(a.gaps[k]).all() else None,
             }
             for k, m in enumerate(a.methods)
         ],

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -17,18 +18,22 @@ from typing import Any
 
 import numpy as np
 
-from .agreement import Agreement, Groups, Measured, ShotFlux, agreement, allowance_of, groups_of, shoot
+from .agreement import EVERY_LENGTH, Agreement, Groups, Measured, ShotFlux, agreement, allowance_of, groups_of, shoot
 from .comparison import (
     Budget,
+    Effort,
     Entry,
     Meter,
     Plan,
     Reference,
-    effort_of,
     error_of,
+    is_complete,
     is_random,
+    known_above_zero,
+    lengths_counted,
     quantity,
     reason_not_to,
+    unused_budget,
     winner,
     with_effort,
 )
@@ -60,11 +65,12 @@ class Result:
     rays: int = 0
     partial: bool = True
     settings: dict[str, Any] = field(default_factory=dict)
+    lengths: tuple[int, int] = EVERY_LENGTH  # of the paths that Eq. 4 counts
 
     @property
     def winner(self) -> Entry | None:
-        """See `comparison.winner`."""
-        return winner(self.entries, self.budget)
+        """See `comparison.winner`; nobody while some methods have not run, or not to their ends."""
+        return None if self.partial else winner(self.entries, self.budget)
 
     def gathered(self, entry: Entry) -> float:
         """<L, g> of one method over all receivers, W (for a camera the mean radiance)."""
@@ -78,12 +84,14 @@ class Result:
 
 
 class Comparison:
-    """In place of a solver. `reference` is one that is known already; else `plan.reference` names the method that makes it."""
+    """In place of a solver. `reference` is one that is known already; else `plan.reference` names the method that makes it.
+
+    Raises SettingsError for a reference of which no relative error can be told."""
 
     spec = SimpleNamespace(label="Comparison")
 
     def __init__(self, reference: Reference | None = None) -> None:
-        self.reference = reference
+        self.reference = known_above_zero(reference) if reference is not None else None
 
     def memory(self, world: World, receivers: Receivers, plan: Plan) -> int:
         """What is kept of every method: its solution and the copies of one."""
@@ -104,7 +112,10 @@ class _Run:
         self.shot: ShotFlux | None = None
         self.entries: list[Entry] = []
         self.refused: list[Notice] = []
-        self.running: tuple[Solver, Settings, Meter] | None = None  # the full run that is under way
+        self.running: tuple[Solver, Effort, Meter] | None = None  # the full run that is under way
+        counted = [self._lengths(method(id)) for id in plan.methods]
+        self.lengths = Counter(counted).most_common(1)[0][0]  # of the paths that Eq. 4 counts
+        self.reference_lengths: tuple[int, int] | None = None
         self.rays = 0
         self.done = False
         self._report: tuple[int, Agreement] | None = None
@@ -139,17 +150,17 @@ class _Run:
         seconds = self.plan.reference_seconds / halves
         budget = Budget("time", seconds, seconds)
         for effort in with_effort(solver, self.world, self.receivers, settings, budget):
-            settings = effort or settings
-            yield self._step(0.0, "Reference: finding how many samples fit its time")
+            if effort is None:
+                yield self._step(0.0, "Reference: finding how many samples fit its time")
         found: list[Solution] = []
         for half in range(halves):
             # Seeds far from those of the runs, so that nothing is measured against itself.
-            at = dataclasses.replace(settings, seed=(settings.seed + 1_000_003 * (half + 1)) % (2**31))
+            at = dataclasses.replace(effort.settings, seed=(settings.seed + 1_000_003 * (half + 1)) % (2**31))
             meter = yield from self._drive(solver, at, budget, None, f"Reference {half + 1} of {halves}: ")
             found.append(meter.solution())
             self.rays += found[-1].rays
         notices: list[Notice] = list(found[0].warnings)
-        if not is_random(solver) and found[0].partial:
+        if found[0].partial and not effort.endless:
             notices.append(Notice(solver.spec.label, "did not end in the time of the reference", "Give the reference more time"))
         values = np.mean([quantity(s).astype(np.float64) for s in found], axis=0)
         valid = np.all([s.weight > 0 for s in found], axis=0)
@@ -159,13 +170,15 @@ class _Run:
             noise = float(np.sqrt((half**2).mean()) / values[valid].mean())
         total = sum(s.seconds for s in found)
         label = f"{solver.spec.label}, {total:.3g} s"
-        self.reference = Reference(label, values, valid, noise, total, tuple(notices))
+        self.reference = known_above_zero(Reference(label, values, valid, noise, total, tuple(notices)))
+        self.reference_lengths = self._lengths(solver)
 
     def _shoot(self) -> Iterator[Step]:
         """Flux by Eq. 4: particles, for a share of the time."""
         longest, spent = min(SHOT * self.plan.budget.seconds, SHOT_MOST), 0.0
-        most = max((self._settings(method(m)).max_length for m in self.plan.methods), default=64)
-        source = shoot(self.world, self.groups, self.receivers.kind == "elements", most, self.plan.seed)
+        alike = [s for s in map(method, self.plan.methods) if self._lengths(s) == self.lengths]
+        most = max(self._settings(s).max_length for s in alike)
+        source = shoot(self.world, self.groups, self.receivers.kind == "elements", self.lengths[0], most, self.plan.seed)
         while True:
             began = time.perf_counter()
             found = next(source)
@@ -186,21 +199,19 @@ class _Run:
             return
         budget = self.plan.budget
         try:
-            for found in with_effort(solver, self.world, self.receivers, settings, budget):
-                if found is None:
+            for effort in with_effort(solver, self.world, self.receivers, settings, budget):
+                if effort is None:
                     yield self._step(0.0, f"{label}: finding how many samples fit the budget")
-                else:
-                    settings = found
-            problem = reason_not_to(solver, self.world, self.receivers, settings)
+            problem = reason_not_to(solver, self.world, self.receivers, effort.settings)
             if problem is not None:
                 self.refused.append(problem)
                 return
-            meter = yield from self._drive(solver, settings, budget, self.reference, f"{label}: ", 0.5, full=True)
-            entry = self._entry(solver, settings, meter)
+            meter = yield from self._drive(solver, effort.settings, budget, self.reference, f"{label}: ", 0.5, effort)
+            entry = self._entry(solver, effort, meter)
             self.rays += entry.rays
             self.entries.append(entry)
             if entry.random and entry.complete and self.plan.repeats:
-                yield from self._repeat(solver, settings, entry)
+                yield from self._repeat(solver, effort, entry)
         except AdjointError as error:
             self.refused.append(dataclasses.replace(error.notice, severity="warning"))
         except Exception as error:  # a bug of one method must not cost the results of the others, but has to be seen
@@ -208,18 +219,28 @@ class _Run:
         finally:
             self.running = None
 
-    def _repeat(self, solver: Solver, settings: Settings, entry: Entry) -> Iterator[Step]:
-        """Independent runs with a share of the budget each. A method that had ended by itself may do so again."""
-        k = self.plan.repeats
-        whole = entry.state in ("finished", "reached") and entry.seconds < self.plan.budget.seconds
-        budget = Budget("time", 2 * self.plan.budget.seconds, 2 * self.plan.budget.seconds) if whole else self.plan.budget.scaled(1 / k)
-        fluxes = []
+    def _repeat(self, solver: Solver, effort: Effort, entry: Entry) -> Iterator[Step]:
+        """Independent runs with a share of the budget each, or of the time in which the error was reached. A method that had ended by
+        itself may do so again. What is solved first is not shared: twice the time that it took, as the machine may be busy."""
+        k, budget = self.plan.repeats, self.plan.budget
+        if entry.state in ("finished", "reached") and not entry.solution.partial and entry.seconds < budget.seconds:
+            budget = Budget("time", 2 * budget.seconds, 2 * budget.seconds)
+        else:
+            budget = Budget("time", entry.seconds, budget.limit) if entry.state == "reached" else budget
+            budget = budget.scaled(1 / k, 2 * effort.seconds, effort.rays)
+        fluxes, settings = [], effort.settings
         for run in range(k):
             at = dataclasses.replace(settings, seed=(settings.seed + 7919 * (run + 1)) % (2**31))
             text = f"{entry.label}, other seeds, {run + 1} of {k}: "
-            meter = yield from self._drive(solver, at, budget, None, text, 0.5 / k, 0.5 + 0.5 * run / k)
+            meter = yield from self._drive(solver, at, budget, None, text, 0.5 / k, at=0.5 + 0.5 * run / k)
             found = meter.solution()
             self.rays += found.rays
+            if not is_complete(found, effort.endless, effort.rays):
+                within = f"within {budget.seconds:.3g} s"
+                reason = f"its runs with other seeds did not come to an answer everywhere {within}: its noise is not known"
+                notice = Notice(entry.label, reason, "Give it a larger budget, or ask for fewer repeats")
+                self.entries[-1] = dataclasses.replace(entry, notices=(*entry.notices, notice))
+                return
             fluxes.append(self.groups.flux(quantity(found)))
         self.entries[-1] = dataclasses.replace(entry, fluxes=np.array(fluxes))
 
@@ -231,14 +252,14 @@ class _Run:
         reference: Reference | None,
         text: str,
         share: float = 1.0,
+        full: Effort | None = None,
         at: float = 0.0,
-        full: bool = False,
     ) -> Iterator[Step]:
-        """One run to its end, from `at` of this stage on and for a `share` of it; returns its meter."""
+        """One run to its end, from `at` of this stage on and for a `share` of it; returns its meter. `full`: of a full run."""
         meter = Meter(solver, self.world, self.receivers, settings, reference)
         with closing(meter):
             for _ in meter.run(budget):
-                self.running = (solver, settings, meter) if full else None
+                self.running = (solver, full, meter) if full else None
                 yield self._step(at + share * min(1.0, meter.seconds / budget.seconds), text + meter.step.text)
             self.running = None
         if meter.step is None:
@@ -253,14 +274,23 @@ class _Run:
             return given
         return dataclasses.replace(solver.Settings(), seed=self.plan.seed)
 
-    def _entry(self, solver: Solver, settings: Settings, meter: Meter) -> Entry:
+    def _lengths(self, solver: Solver) -> tuple[int, int]:
+        return lengths_counted(self._settings(solver), self.receivers.measure)
+
+    def _entry(self, solver: Solver, effort: Effort, meter: Meter) -> Entry:
         found = meter.solution()
         judged = error_of(found, self.reference) if self.reference is not None else None
         notices = [n for n in found.warnings if n not in self.world.scene.warnings]
-        endless = bool(effort_of(solver))
-        if found.partial and not endless:
+        if not is_complete(found, effort.endless, effort.rays) and meter.state != "finished":
             reason = f"did not end within {meter.seconds:.3g} s: its result is partial"
             notices.append(Notice(solver.spec.label, reason, "Give it a larger budget or coarser settings"))
+        if meter.state == "finished":
+            notices += filter(None, [unused_budget(solver.spec.label, effort.settings, meter.seconds, self.plan.budget)])
+        lengths = self._lengths(solver)
+        if self.reference_lengths not in (None, lengths):
+            (a, b), (c, d) = lengths, self.reference_lengths
+            reason = f"counts path lengths {a} to {b}, the reference {c} to {d}: its error holds that difference"
+            notices.append(Notice(solver.spec.label, reason, "Give both methods the same min_length and max_length"))
         return Entry(
             solver.spec.id,
             solver.spec.label,
@@ -271,10 +301,12 @@ class _Run:
             judged[0] if judged else None,
             judged[1] if judged else None,
             tuple(meter.curve),
-            settings.as_dict(),
+            effort.settings.as_dict(),
             tuple(notices),
             is_random(solver),
-            endless,
+            effort.endless,
+            first=effort.rays,
+            lengths=lengths,
         )
 
     def _step(self, share: float, text: str) -> Step:
@@ -289,7 +321,8 @@ class _Run:
             # Of all that is copied only this takes time, so it is kept until there is something new.
             key = sum(2 + (e.fluxes is not None) for e in self.entries)
             if self._report is None or self._report[0] != key:
-                self._report = (key, agreement(self.groups, [m for e in self.entries if (m := self._measured(e))], self.shot))
+                measured = [m for e in self.entries if (m := self._measured(e))]
+                self._report = (key, agreement(self.groups, measured, self.shot, self.lengths))
             report = self._report[1]
         now = [self._entry(*self.running)] if self.running is not None else []
         return Result(
@@ -304,6 +337,7 @@ class _Run:
             self.rays,
             not self.done,
             self.plan.as_dict(),
+            self.lengths,
         )
 
     def _measured(self, entry: Entry) -> Measured | None:
@@ -312,12 +346,13 @@ class _Run:
             return None
         spec = method(entry.method).spec
         notes = tuple(n.object + " " + n.reason for n in self.world.shading.substitutions(spec.lobes))
+        stated = spec.leaves_out, notes, entry.lengths
         if not entry.random:
             value = self.groups.flux(quantity(entry.solution))
-            return Measured(entry.method, entry.label, value, np.zeros(len(value)), 0, allowance_of(spec), spec.leaves_out, notes)
+            return Measured(entry.method, entry.label, value, np.zeros(len(value)), 0, allowance_of(spec), *stated)
         if entry.fluxes is None or len(entry.fluxes) < 2:
             return None
         k = len(entry.fluxes)
         error = entry.fluxes.std(axis=0, ddof=1) / math.sqrt(k)
         value = entry.fluxes.mean(axis=0)
-        return Measured(entry.method, entry.label, value, error, k - 1, allowance_of(spec), spec.leaves_out, notes)
+        return Measured(entry.method, entry.label, value, error, k - 1, allowance_of(spec), *stated)

@@ -62,9 +62,9 @@ class Settings:
         for f in fields(self):
             check(f, getattr(self, f.name))
         if self.min_length > self.max_length:
-            raise SettingsError(
-                "min_length", f"{self.min_length} is more than max_length {self.max_length}", "Lower it or raise max_length"
-            )
+            # The panel shows labels, the command line takes keys.
+            low, high = (f"{f.metadata['label']} ({f.name})" for f in fields(self) if f.name in ("min_length", "max_length"))
+            raise SettingsError(low, f"{self.min_length} is more than {high} {self.max_length}", f"Lower it or raise {high}")
 
     def as_dict(self) -> dict[str, Any]:
         """All values by name, ready for JSON."""

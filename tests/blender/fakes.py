@@ -25,6 +25,7 @@ class FakeSettings(Settings):
     pause: float = setting(0.0, label="Pause", help="Seconds that a step takes", min=0.0, max=1.0, unit="time")
     tiny: float = setting(1e-4, label="Tiny", help="A small number", min=0.0, max=0.1)
     edge: float = setting(0.5, label="Edge", help="A length", min=0.01, unit="distance")
+    max_edge: float = setting(0.0, label="Max Edge", help="Longest edge of an element", min=0.0, unit="distance")
     flag: bool = setting(True, label="Flag", help="A switch.")
     mode: str = setting("fine", label="Mode", help="What it does", choices=WORDS)
     note: str = setting("", label="Note", help="Any text")
@@ -50,6 +51,9 @@ class Fake(Solver):
         uses_elements=True,
     )
     Settings = FakeSettings
+
+    def element_target(self, settings):
+        return 100
 
     def solve(self, world, receivers, settings, rng):
         n = receivers.count

@@ -103,7 +103,7 @@ def tiles(_):
     return image
 
 
-def movie(folder):
+def sequence(folder):
     image = white(folder, "frame_0001.png")
     image.source = "SEQUENCE"
     return image
@@ -240,7 +240,13 @@ CASES = [
     Case(34, "packed image", textured(packed), check=albedo(1.0)),
     Case(34, "generated image", textured(generated), check=albedo(1.0)),
     Case(34, "UDIM tiles", textured(tiles), told=(('Image "tiles"', "has UDIM tiles; only the first one is used"),)),
-    Case(34, "movie or sequence", textured(movie), told=(('Image "frame_0001.png"', "is a movie or sequence; one frame of it is used"),)),
+    Case(
+        34,
+        "sequence",
+        textured(sequence),
+        told=(('Image "frame_0001.png"', "is an image sequence; its frame 1 is used"),),
+        check=albedo(1.0),
+    ),
     Case(35, "corrupt EXR", textured(corrupt), told=(('Image "bad.exr"', LOST),), check=albedo(GREY)),
     Case(36, "image of 30,000 x 30,000", textured(huge), told=(('Image "huge.png"', LOST),), check=albedo(GREY)),
     Case(

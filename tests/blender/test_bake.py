@@ -241,3 +241,35 @@ def test_run_in_one_call():
     seen = []
     made, notices = module.run(bpy.context, request(values={"samples": 256}), lambda d: seen.append(d.fraction))
     assert seen and made.written and notices == made.notices
+
+
+def test_images_are_not_lost_with_their_files(tmp_path):
+    """The folder is gone when the bake ends; the image is in the .blend, and the next write puts it into files."""
+    room = furnace()
+    first, _ = finish(request(output=str(tmp_path / "old"), values={"samples": 1}))
+    image = linked_image(room, "irradiance")
+    assert image.packed_file is None
+    made = Bake(bpy.context, request(output=str(tmp_path / "new" / "below")))
+    solution = made.driver.run()
+    (tmp_path / "new" / "below").rmdir()
+    (tmp_path / "new").rmdir()
+    (tmp_path / "new").write_text("a file")
+    with pytest.raises(AdjointError, match="is a file, not a folder"):
+        made.write(solution)
+    assert (made.written, made.files) == ([f"image {image.name}"], [])
+    assert linked_image(room, "irradiance") == image and image.packed_file is not None
+    pixels = read_pixels(image)
+    assert pixels[pixels[..., 3] > 0][:, :3].mean() == pytest.approx(ANSWER, rel=0.02)
+    made.request = dataclasses.replace(made.request, output=str(tmp_path / "other"))
+    made.write(solution)
+    assert len(made.files) == 3 and image.packed_file is None
+    assert np.array_equal(read_exr(Path(made.files[0]))[0][""], pixels)
+
+
+def test_a_picture_without_a_folder_is_not_lost_in_silence(tmp_path):
+    furnace()
+    made = Bake(bpy.context, request(target="render", output=str(tmp_path), width=4, height=4))
+    solution = made.driver.run()
+    made.request = dataclasses.replace(made.request, output="")
+    with pytest.raises(TargetError, match="Output folder: is not set"):
+        made.write(solution)

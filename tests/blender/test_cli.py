@@ -17,10 +17,10 @@ import bpy
 import numpy as np
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.bridge import cli, cli_demo, cli_progress, demo
+from adjgi.adjoint_gi.bridge import cli, cli_demo, cli_open, cli_progress, demo, kept
 from adjgi.adjoint_gi.bridge.cli_arguments import DEMO_METHODS
 from adjgi.adjoint_gi.core import registry
-from adjgi.adjoint_gi.core.errors import WriteError
+from adjgi.adjoint_gi.core.errors import TargetError, WriteError
 from adjgi.adjoint_gi.core.exr import read_exr
 
 solvers.load()
@@ -188,6 +188,48 @@ def test_scene_that_is_no_blend(tmp_path):
     assert code == 2 and "text.blend: cannot be opened" in err
 
 
+@pytest.mark.parametrize("name", ["missing.blend", "garbage.blend", "cut.blend"])
+def test_a_file_that_blender_could_not_open_is_refused_by_every_command(registered, blend, tmp_path, name):
+    """Blender goes on with the scene that it has, and runs the command."""
+    (tmp_path / "garbage.blend").write_text("hello")
+    (tmp_path / "cut.blend").write_bytes(blend.read_bytes()[:30000])
+    with pytest.raises(RuntimeError):
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / name))
+    out = tmp_path / "out"
+    for arguments in (("bake", "--output", out), ("check",), ("compare", "--output", out)):
+        code, _, err = command(*arguments)
+        assert code == 2 and f"{tmp_path / name}: could not be opened" in err, err
+    assert not out.exists()
+    assert command("check", blend)[0] == 0, "a scene named after the command is opened"
+    assert command("check")[0] == 0, "and is the open one then"
+
+
+@pytest.mark.parametrize(
+    ("words", "accepted"),
+    [
+        (["-b", "--command"], False),
+        (["-b", "-c"], False),
+        (["-b", "--python-exit-code", "1", "--command"], False),
+        (["-b", "--python", "make.py", "--command"], True),
+        (["-b", "--python-expr", "make()", "-c"], True),
+    ],
+)
+def test_the_scene_of_the_start_is_refused_unless_a_script_may_have_built_it(tmp_path, monkeypatch, words, accepted):
+    box()
+    monkeypatch.setattr(sys, "argv", ["blender", *words, "adjoint_gi", "check", "--python"])
+    code, _, err = command("check")
+    assert code == (0 if accepted else 2) and ("no .blend file is open" in err) != accepted
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "box.blend"))
+    assert command("check")[0] == 0
+
+
+def test_handlers_come_and_go_with_the_extension():
+    before = {name: len(getattr(bpy.app.handlers, name)) for name, _ in cli_open.HANDLERS}
+    cli_open.register()
+    cli_open.unregister()
+    assert {name: len(getattr(bpy.app.handlers, name)) for name, _ in cli_open.HANDLERS} == before
+
+
 def test_file_saved_in_edit_mode_is_baked(tmp_path):
     scene = box()
     bpy.context.view_layer.objects.active = scene.objects["Floor"]
@@ -211,15 +253,54 @@ def test_check_finds_without_baking(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_failed_write_is_exit_code_1(tmp_path, monkeypatch):
+def test_bake_prints_every_error_that_refuses_it(tmp_path):
+    box()
+    code, _, err = command("bake", "--output", tmp_path / "o", "--objects", "Nobody", "Camera")
+    assert code == 2 and "error: Nobody: does not exist" in err and "error: Camera: is a camera, not a mesh" in err
+
+
+SMALL = ("--resolution", 8, "--set", "samples=1", "--objects", "Floor", "Back Wall")
+
+
+@pytest.mark.parametrize("arguments", [("--target", "texture"), ("--atlas", "--resolution", 64), ("--target", "render", "--size", "16x12")])
+def test_files_that_are_not_ours_are_found_before_the_bake(tmp_path, monkeypatch, arguments):
+    box()
+    assert command("bake", *SMALL, *arguments, "--output", tmp_path)[0] == 0
+    monkeypatch.setattr("adjgi.adjoint_gi.bridge.cli_bake.solve", None)
+    layers = [(o.name, len(o.data.uv_layers)) for o in bpy.data.objects if o.type == "MESH"]
+    for file in sorted(tmp_path.iterdir()):
+        ours = file.read_bytes()
+        file.write_text("mine")
+        code, _, err = command("bake", *SMALL, *arguments, "--output", tmp_path)
+        assert code == 2 and f"{file}: exists and was not written by Adjoint GI" in err, err
+        code, out, _ = command("check", *SMALL, *arguments, "--output", tmp_path)
+        assert code == 2 and f"error: {file}: exists" in out
+        assert file.read_text() == "mine"
+        file.write_bytes(ours)
+    assert layers == [(o.name, len(o.data.uv_layers)) for o in bpy.data.objects if o.type == "MESH"]
+
+
+@pytest.mark.parametrize("error", [WriteError("disk", "is full", "Make room"), TargetError("it", "is not ours", "Move it")])
+def test_failed_write_is_exit_code_1_and_keeps_the_result(tmp_path, monkeypatch, error):
     box()
 
     def fail(*_, **__):
-        raise WriteError("disk", "is full", "Make room")
+        raise error
 
     monkeypatch.setattr("adjgi.adjoint_gi.bridge.bake.write_exr", fail)
-    code, _, err = command("bake", "--resolution", 8, "--set", "samples=1", "--objects", "Floor", "--output", tmp_path)
-    assert code == 1 and "error: disk: is full. Make room" in err
+    monkeypatch.setattr(kept, "folder", lambda: tmp_path)
+    code, out, err = command("bake", *SMALL, "--output", tmp_path / "out")
+    assert code == 1 and f"error: {error.notice}" in err and "wrote" not in out
+    (file,) = tmp_path.glob("*.npz")
+    assert f"Result: is kept in {file}" in err
+    with np.load(file, allow_pickle=False) as found:
+        assert (found["direct"] + found["indirect"]).max() > 0.01 and found["weight"].shape == (len(found["direct"]),)
+    # The scene holds the images, so it is saved where that was asked for.
+    target = tmp_path / "baked.blend"
+    code, out, _ = command("bake", *SMALL, "--output", tmp_path / "out", "--save-blend", target)
+    assert code == 1 and f"wrote {target}" in out
+    bpy.ops.wm.open_mainfile(filepath=str(target))
+    assert len([i for i in bpy.data.images if "adjoint_gi_about" in i and i.packed_file]) == 2
 
 
 def test_failing_solver_writes_its_partial_result_and_is_exit_code_1(tmp_path, monkeypatch):

@@ -15,11 +15,11 @@ import bpy
 import numpy as np
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.bridge import cli, compare, compare_job, compare_records, demo, jobs
+from adjgi.adjoint_gi.bridge import cli, cli_compare, compare, compare_job, compare_records, demo, jobs, kept
 from adjgi.adjoint_gi.bridge.compare import Compare, CompareRequest, ReferenceChoice
 from adjgi.adjoint_gi.core import registry
 from adjgi.adjoint_gi.core.comparison import Budget
-from adjgi.adjoint_gi.core.errors import AdjointError, SettingsError
+from adjgi.adjoint_gi.core.errors import AdjointError, Notice, SettingsError
 from adjgi.panels import compare as panel
 from adjgi.tests import baking
 from adjgi.tests.blender import test_panel
@@ -111,11 +111,50 @@ def test_the_command_writes_a_page_that_needs_nothing_else(box, tmp_path):
     assert "Path Tracing</td>" not in (tmp_path / "index.html").read_text(encoding="utf-8")
 
 
-def test_what_is_not_ours_is_not_replaced(box, tmp_path):
-    (tmp_path / "index.html").write_text("<html>my home page</html>", encoding="utf-8")
-    code, _, err = command("--methods", "local_illumination", *SMALL, "--output", tmp_path)
-    assert code == 2 and "was not written by Adjoint GI" in err
-    assert "my home page" in (tmp_path / "index.html").read_text(encoding="utf-8")
+def test_what_is_not_ours_is_not_replaced_and_found_before_the_run(box, tmp_path, monkeypatch):
+    assert command("--methods", "local_illumination", *SMALL, "--output", tmp_path)[0] == 0
+    monkeypatch.setattr(cli_compare, "Compare", None)
+    assert len(list(tmp_path.iterdir())) == 6
+    for file in tmp_path.iterdir():
+        ours = file.read_bytes()
+        file.write_text("my home page", encoding="utf-8")
+        code, _, err = command("--methods", "local_illumination", *SMALL, "--output", tmp_path)
+        assert code == 2 and f"{file}: exists and was not written by Adjoint GI" in err
+        assert file.read_text(encoding="utf-8") == "my home page"
+        file.write_bytes(ours)
+
+
+def test_a_result_that_cannot_be_written_is_kept(box, tmp_path, monkeypatch):
+    """The folder was free when it was looked at."""
+    out, safe = tmp_path / "out", tmp_path / "kept"
+    safe.mkdir()
+    monkeypatch.setattr(kept, "folder", lambda: safe)
+    check = cli_compare.check_files
+
+    def meddle(request, folder):
+        check(request, folder)
+        (folder / "compare.json").write_text("{}", encoding="utf-8")
+
+    monkeypatch.setattr(cli_compare, "check_files", meddle)
+    code, text, err = command("--methods", "local_illumination", *SMALL, "--output", out)
+    (folder,) = safe.iterdir()
+    assert code == 1 and "compare.json: exists and was not written" in err and f"Result: is kept in {folder}" in err
+    assert len(list(folder.iterdir())) == 6 and f"wrote {folder / 'index.html'}" in text and "Local Illumination" in text
+    assert (out / "compare.json").read_text(encoding="utf-8") == "{}"
+
+
+def test_an_interrupted_run_says_that_it_is_partial(box, tmp_path, monkeypatch):
+    progress = cli_compare.Progress.__call__
+
+    def interrupt(self, driver):
+        progress(self, driver)
+        if driver.solution() is not None and driver.solution().entries:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli_compare.Progress, "__call__", interrupt)
+    code, out, _ = command("--methods", METHODS, *SMALL, "--budget", "time=1.5", "--output", tmp_path)
+    assert code == 130 and "stopped before its end" in out.splitlines()[-1] and "partial" in out.splitlines()[-1]
+    assert json.loads((tmp_path / "compare.json").read_text(encoding="utf-8"))["partial"]
 
 
 @pytest.mark.parametrize(
@@ -127,6 +166,14 @@ def test_what_is_not_ours_is_not_replaced(box, tmp_path):
         (("--budget", "30"), "cannot read"),
         (("--reference", "cycles:many"), "cannot read"),
         (("--reference", "constant=1,2"), "cannot read"),
+        (("--reference", "constant=0"), "a relative error needs a mean above 0"),
+        (("--reference", "cycles:0"), "0 samples are not possible. Give Cycles 2 to 1,048,576 samples"),
+        (("--reference", "cycles:-5"), "-5 samples are not possible"),
+        (("--reference", "cycles:99999999999"), "99999999999 samples are not possible"),
+        (("--reference", "path_tracing:0"), "0 seconds are not possible"),
+        (("--reference", "path_tracing:-3"), "-3 seconds are not possible"),
+        (("--reference", "path_tracing:nan"), "nan seconds are not possible"),
+        (("--budget", "error=0.02", "--reference", "none"), "an error needs a reference"),
         (("--set", "seed=1"), "not of the form METHOD.KEY=VALUE"),
         (("--set", "path_tracing.magic=1"), "is not a setting"),
         (("--receivers", "camera", "--reference", "cycles"), "Cycles bakes texels"),
@@ -308,9 +355,28 @@ def test_a_run_fills_table_and_pictures_and_finds_them_again(state, tmp_path):
     assert not again.rows and not [i for i in bpy.data.images if i.name == "Mine now"]
 
 
-def start(state, seconds=20.0):
+def test_an_error_without_a_reference_is_refused_in_the_panel(state):
+    state.budget, state.reference = "error", "none"
+    with pytest.raises(SettingsError, match="an error needs a reference"):
+        start(state)
+    assert bpy.ops.adjoint_gi.compare() == {"CANCELLED"}
+
+
+def test_a_foreign_file_is_refused_before_the_run_and_never_costs_the_result(state, tmp_path, monkeypatch):
+    (tmp_path / "histogram.png").write_text("mine", encoding="utf-8")
+    with pytest.raises(AdjointError, match="was not written by Adjoint GI"):
+        start(state, folder=str(tmp_path))
+    assert compare_job.current() is None
+    monkeypatch.setattr(compare_job, "check_files", lambda *_: None)
+    job = start(state, 0.2, str(tmp_path))
+    ticks(lambda: not job.active)
+    assert "was not written by Adjoint GI" in job.notices[0].reason and len(job.notices) == 1
+    assert len(state.result.rows) == 2 and len(state.result.pictures) == 4
+
+
+def start(state, seconds=20.0, folder=""):
     state.seconds = seconds
-    return compare_job.start(bpy.context, compare_records.request_of(bpy.context.scene, bpy.context.view_layer))
+    return compare_job.start(bpy.context, compare_records.request_of(bpy.context.scene, bpy.context.view_layer), folder)
 
 
 def test_in_the_background_it_can_be_stopped_within_a_second_and_keeps_what_it_has(state):
@@ -341,6 +407,43 @@ def test_loading_a_file_ends_it(state):
     job = start(state)
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     assert job.state == "cancelled" and compare_job.current() is None
+
+
+def test_the_folder_is_passed_on_as_it_was_typed(state, monkeypatch):
+    """With the path already made absolute the file that is not saved could not be named as the reason."""
+    said = []
+
+    def run(context, request, progress, folder):
+        said.append(folder)
+        return compare_job.CompareJob(context, request, folder)
+
+    monkeypatch.setattr(compare_job, "run", run)
+    state.folder = "//out"
+    assert bpy.ops.adjoint_gi.compare() == {"CANCELLED"}
+    assert said == ["//out"]
+    with pytest.raises(AdjointError, match='"//out" is relative to the .blend file, which is not saved yet'):
+        compare_job.start(bpy.context, compare_records.request_of(bpy.context.scene, bpy.context.view_layer), "//out")
+
+
+def test_a_run_of_another_scene_says_so(state, monkeypatch):
+    other = bpy.data.scenes.new("Attic")
+    driver = types.SimpleNamespace(fraction=0.5, seconds_left=None, text="Path Tracing")
+    made = types.SimpleNamespace(driver=driver)
+    notices = [Notice("Cube", "is odd", "", "error")]
+    job = types.SimpleNamespace(state="running", active=True, made=made, notices=notices, scene=other.session_uid)
+    monkeypatch.setattr(compare_job, "_job", job)
+    layout = Layout()
+    panel.run(layout, bpy.context)
+    assert "Comparing in scene Attic" in layout.words
+    job.active = False
+    layout = Layout()
+    panel.run(layout, bpy.context)
+    assert "Cube" not in layout.words
+    job.scene = bpy.context.scene.session_uid
+    layout = Layout()
+    panel.run(layout, bpy.context)
+    assert "Cube" in layout.words
+    monkeypatch.setattr(compare_job, "_job", None)
 
 
 def test_a_scene_that_is_gone_gets_no_result(state):

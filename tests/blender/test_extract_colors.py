@@ -264,6 +264,77 @@ def test_separate_and_combine():
     assert silent(both(g))
 
 
+@pytest.mark.skipif(not hasattr(bpy.types, "ShaderNodeCombineRGB"), reason="Separate RGB and Combine RGB exist in Blender 4.2 only")
+def test_separate_and_combine_rgb():
+    g = Graph()
+    split, join = g.add("ShaderNodeSeparateRGB"), g.add("ShaderNodeCombineRGB")
+    g.link(g.image(interpolation="Closest").outputs["Color"], split.inputs[0])
+    for a, b in (("R", "B"), ("G", "R"), ("B", "G")):
+        g.link(split.outputs[a], join.inputs[b])
+    g.show(join.outputs[0])
+    assert silent(both(g))
+
+
+@pytest.mark.parametrize("kelvin", [300, 930, 1000, 1250, 1600, 2050, 2700, 3500, 4700, 5800, 7200, 10000, 15000])
+def test_blackbody(kelvin):
+    g = Graph()
+    node = g.add("ShaderNodeBlackbody", values={"Temperature": kelvin})
+    g.show(node.outputs[0])
+    white_plane(2.0, g.material)
+    arrays = extract(bpy.context.evaluated_depsgraph_get())
+    theirs = render_patch(pixels=4, samples=1).mean(axis=(0, 1))
+    np.testing.assert_allclose(arrays.materials[0].total("emission").constant, theirs, rtol=0.01, atol=0.002)
+    assert silent(arrays)
+
+
+NUMBERS = {"FLOAT": "value", "INT": "value", "FLOAT_VECTOR": "vector", "FLOAT2": "vector", "BOOLEAN": "value"}
+
+
+@pytest.mark.parametrize("kind", NUMBERS)
+@pytest.mark.parametrize("domain", ["POINT", "CORNER", "FACE"])
+def test_attributes_that_are_no_colours(kind, domain):
+    g = Graph()
+    g.show(g.add("ShaderNodeAttribute", attribute_name="level").outputs["Color"])
+    mesh = white_plane(2.0, g.material).data
+    level = mesh.attributes.new("level", kind, domain)
+    for k, item in enumerate(level.data):
+        value = {"INT": k + 1, "BOOLEAN": True, "FLOAT": 0.1 + 0.2 * k}.get(
+            kind, (0.1 + 0.2 * k, 0.5 - 0.1 * k, 0.3)[: 2 if kind == "FLOAT2" else 3]
+        )
+        setattr(item, NUMBERS[kind], value)
+    arrays = extract(bpy.context.evaluated_depsgraph_get())
+    np.testing.assert_allclose(
+        color_at_pixels(arrays), render_patch(width=2.0, pixels=PIXELS, samples=1), atol=0.08 if kind == "INT" else 0.03
+    )
+    assert silent(arrays)
+
+
+def test_a_uv_map_as_a_colour():
+    g = Graph()
+    g.show(g.add("ShaderNodeAttribute", attribute_name="UVMap").outputs["Color"])
+    assert silent(both(g, atol=0.05))
+
+
+def test_attributes_of_other_kinds_are_named():
+    g = Graph()
+    g.show(g.add("ShaderNodeAttribute", attribute_name="level").outputs["Color"])
+    white_plane(2.0, g.material).data.attributes.new("level", "FLOAT", "EDGE")
+    arrays = extract(bpy.context.evaluated_depsgraph_get())
+    assert any(
+        n.object == "plane" and 'no attribute "level" of colours, numbers or vectors on points, corners' in n.reason
+        for n in arrays.warnings
+    )
+
+
+@pytest.mark.parametrize("kind", ["Cubic", "Smart"])
+def test_smoother_interpolation_is_named(kind):
+    g = Graph()
+    g.show(g.image(interpolation=kind).outputs["Color"])
+    white_plane(2.0, g.material)
+    arrays = extract(bpy.context.evaluated_depsgraph_get())
+    assert any(f"{kind.lower()} interpolation; it is computed as linear" in n.reason and n.severity == "info" for n in arrays.warnings)
+
+
 def nested(depth, inner):
     """Node groups around a group that gives a constant colour through its input."""
     tree = bpy.data.node_groups.new("g", "ShaderNodeTree")
@@ -306,6 +377,35 @@ def test_group_input_default_value():
     group.inputs[0].default_value = (0.1, 0.6, 0.3, 1.0)
     g.show(group.outputs[0])
     assert silent(both(g))
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+@pytest.mark.parametrize("mapped", [False, True])
+def test_image_at_the_value_of_a_group_input(hidden, mapped):
+    """A constant place from 5.0 on, UV coordinates in 4.2 and where the value is hidden; behind a mapping always a constant."""
+    g = Graph()
+
+    def inner(tree, start, end):
+        image = g.add("ShaderNodeTexImage", tree, image=pattern(), interpolation="Closest")
+        if mapped:
+            mapping = g.add("ShaderNodeMapping", tree, {"Location": (0.1, 0.2, 0.0)})
+            g.link(start, mapping.inputs["Vector"])
+            start = mapping.outputs[0]
+        g.link(start, image.inputs["Vector"])
+        g.link(image.outputs["Color"], end)
+
+    tree = nested(0, inner)
+    place = next(i for i in tree.interface.items_tree if i.in_out == "INPUT")
+    place.socket_type, place.hide_value = "NodeSocketVector", hidden
+    group = g.add("ShaderNodeGroup")
+    group.node_tree = tree
+    group.inputs[0].default_value = (0.3, 0.6, 0.0)
+    g.show(group.outputs[0])
+    white_plane(2.0, g.material)
+    arrays = extract(bpy.context.evaluated_depsgraph_get())
+    theirs = render_patch(width=2.0, pixels=PIXELS, samples=1)
+    assert (np.abs(color_at_pixels(arrays) - theirs).max(axis=2) > 3e-3).mean() < 0.02
+    assert silent(arrays)
 
 
 def test_groups_nested_too_deep_are_refused():

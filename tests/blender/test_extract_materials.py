@@ -12,7 +12,7 @@ import pytest
 from adjgi.adjoint_gi.bridge import extract_images
 from adjgi.adjoint_gi.bridge.extract import extract
 from adjgi.adjoint_gi.bridge.image_header import size_of_bytes
-from adjgi.tests.cycles_patch import diffuse_material, empty_material, render_patch, shader_material, white_plane
+from adjgi.tests.cycles_patch import add_light, diffuse_material, empty_material, render_patch, shader_material, white_plane
 
 
 def lobes_of(material):
@@ -244,6 +244,68 @@ def test_material_without_nodes():
         assert lobes["diffuse"].color.constant == approx(0.1, 0.2, 0.3)
 
 
+def diamonds(tree, kind, source, count):
+    """The output of a chain of mixing nodes whose two inputs both come from the one before."""
+    for _ in range(count):
+        node = tree.nodes.new(kind)
+        for socket in list(node.inputs)[1:3]:
+            tree.links.new(source, socket)
+        source = node.outputs[0]
+    return source
+
+
+@pytest.mark.parametrize("textured", [False, True])
+def test_shaders_that_feed_two_inputs_are_read_once(textured):
+    """2^40 lobes otherwise. A factor by a texture makes t and 1 - t of each, which come to 1 again."""
+    material = shader_material("chain", "ShaderNodeBsdfDiffuse", Color=(0.2, 0.5, 0.7, 1.0))
+    tree = material.node_tree
+    last = diamonds(tree, "ShaderNodeMixShader", tree.nodes["Diffuse BSDF"].outputs[0], 40)
+    tree.links.new(last, tree.nodes["Material Output"].inputs["Surface"])
+    if textured:
+        image = tree.nodes.new("ShaderNodeTexImage")
+        image.image = bpy.data.images.new("factor", 2, 2)
+        for node in tree.nodes:
+            if node.type == "MIX_SHADER":
+                tree.links.new(image.outputs[0], node.inputs[0])
+    lobes, arrays = lobes_of(material)
+    assert list(lobes) == ["diffuse"] and lobes["diffuse"].color.is_constant
+    assert lobes["diffuse"].color.constant == approx(0.2, 0.5, 0.7)
+    assert not told(arrays, "chain")
+
+
+def test_colours_that_feed_two_inputs_are_read_once():
+    material = shader_material("chain", "ShaderNodeBsdfDiffuse")
+    tree = material.node_tree
+    image = tree.nodes.new("ShaderNodeTexImage")
+    image.image = bpy.data.images.new("colour", 2, 2)
+    last = diamonds(tree, "ShaderNodeMixRGB", image.outputs[0], 40)
+    tree.links.new(last, tree.nodes["Diffuse BSDF"].inputs["Color"])
+    lobes, arrays = lobes_of(material)
+    (term,) = lobes["diffuse"].color.terms
+    assert term.constant == approx(1.0) and len(term.sources) == 1
+    assert not told(arrays, "chain")
+
+
+@pytest.mark.parametrize("kind", ["material", "world", "lamp"])
+def test_an_output_for_eevee_is_none_for_cycles(kind):
+    """Cycles is black then, and so are we; Cycles' radiance of the plane says so."""
+    if kind == "material":
+        owner = shader_material("only", "ShaderNodeEmission")
+        white_plane(2.0, owner)
+    else:
+        white_plane(2.0)
+        owner = new_world(Strength=2.0) if kind == "world" else add_light("SUN", energy=3.0).data
+        if owner.node_tree is None or kind == "lamp":
+            owner.use_nodes = True
+    assert render_patch(samples=4).mean() > 0.05
+    next(n for n in owner.node_tree.nodes if n.type.startswith("OUTPUT")).target = "EEVEE"
+    owner.node_tree.update_tag()
+    assert render_patch(samples=4).max() == 0.0
+    arrays = extract(bpy.context.evaluated_depsgraph_get())
+    assert not any(arrays.background) and not arrays.lights and arrays.materials[0].total("emission").is_black
+    assert told(arrays, "output node for Cycles")
+
+
 def test_normal_maps_and_displacement_are_named():
     material = principled()
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -286,7 +348,7 @@ def test_missing_layers_are_named():
     white_plane(2.0, paint).name = "unpainted"
     arrays = extract(bpy.context.evaluated_depsgraph_get())
     assert told(arrays, "plane", "no UV layer")
-    assert told(arrays, "unpainted", 'no colour attribute "nowhere"')
+    assert told(arrays, "unpainted", 'no attribute "nowhere" of colours, numbers or vectors')
 
 
 def test_missing_and_corrupt_images(tmp_path):
@@ -342,7 +404,7 @@ def test_images_on_disk_packed_and_generated_agree(tmp_path):
     assert not disk.has_data  # what was not loaded before is not left in memory
 
 
-def test_udim_and_movie_use_one_picture():
+def test_udim_uses_one_picture():
     image = bpy.data.images.new("tiles", 4, 4, tiled=True)
     lobes, arrays = lobes_of(textured(image))
     assert told(arrays, 'Image "tiles"', "UDIM")

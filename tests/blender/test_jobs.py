@@ -16,7 +16,7 @@ from adjgi.adjoint_gi.bridge import jobs
 from adjgi.adjoint_gi.bridge.request import BakeRequest
 from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.driver import Driver
-from adjgi.adjoint_gi.core.errors import AdjointError, TargetError
+from adjgi.adjoint_gi.core.errors import AdjointError, TargetError, WriteError
 from adjgi.adjoint_gi.core.receivers import SurfaceReceivers
 from adjgi.adjoint_gi.core.world import World
 from adjgi.tests.blender.fakes import Fake, FakeSettings, fake_method, square
@@ -28,6 +28,7 @@ class FakeBake:
     """A bake whose driver is real and whose writing is a list."""
 
     refuse = None  # an error that the next write raises
+    in_blend = ()  # datablocks that are written all the same
 
     def __init__(self, context, request):
         b = SceneBuilder()
@@ -40,6 +41,7 @@ class FakeBake:
 
     def write(self, solution):
         if FakeBake.refuse is not None:
+            self.written, self.files = list(FakeBake.in_blend), []
             raise FakeBake.refuse
         self.written.append(solution)
         self.files = ["result.exr"]
@@ -50,6 +52,7 @@ def scene(registered, monkeypatch):
     with fake_method(registered):
         monkeypatch.setattr(jobs, "new_bake", FakeBake)
         monkeypatch.setattr(FakeBake, "refuse", None)
+        monkeypatch.setattr(FakeBake, "in_blend", ())
         monkeypatch.setattr(jobs.preferences, "refresh_seconds", lambda: 0.2)
         square()
         bpy.ops.ed.undo_push(message="Start")
@@ -216,6 +219,48 @@ def test_a_target_that_refuses_is_named(scene, tmp_path, monkeypatch):
     FakeBake.refuse = None
     assert bpy.ops.adjoint_gi.write() == {"FINISHED"}
     assert result().applied
+
+
+def test_writing_again_makes_no_second_file_and_goes_where_the_panel_says(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(jobs.kept, "folder", lambda: tmp_path)
+    job = start(steps=2)
+    FakeBake.refuse = TargetError("Image", "is linked", "Make it local")
+    ticks(lambda: not job.active)
+    (file,) = tmp_path.iterdir()
+    for _ in range(3):
+        assert bpy.ops.adjoint_gi.write() == {"CANCELLED"}
+        assert str(file) in " ".join(map(str, job.notices))
+    assert list(tmp_path.iterdir()) == [file] and result().files == str(file)
+    scene.adjoint_gi.folder = "//another"
+    FakeBake.refuse = None
+    assert bpy.ops.adjoint_gi.write() == {"FINISHED"}
+    assert job.bake.request.output == job.request.output == "//another"
+
+
+def test_images_without_their_files_are_no_lost_result(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(jobs.kept, "folder", lambda: tmp_path)
+    job = start(steps=2)
+    FakeBake.refuse, FakeBake.in_blend = WriteError("/gone", "is a file, not a folder", "Choose another folder"), ("image Square",)
+    ticks(lambda: not job.active)
+    assert [n.object for n in job.notices] == ["/gone", ""] and "their files are missing" in job.notices[1].reason
+    assert "Write Result" in job.notices[1].remedy
+    assert not list(tmp_path.iterdir()) and result().applied and job.solution is not None
+    FakeBake.refuse = None
+    assert bpy.ops.adjoint_gi.write() == {"FINISHED"}
+    assert job.solution is None and job.notices == []
+
+
+def test_objects_with_the_same_problem_are_named_in_one_line(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(jobs.kept, "folder", lambda: tmp_path)
+    for i in range(6):
+        square(f"More {i}")
+    names = tuple(o.name for o in scene.objects)
+    job = jobs.start(bpy.context, dataclasses.replace(request(steps=60, pause=0.005), objects=names))
+    bpy.ops.object.mode_set(mode="EDIT")
+    ticks(lambda: not job.active)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert len(job.notices) == 2
+    assert "and 3 more: is in Edit Mode" in str(job.notices[0]) and "kept in" in str(job.notices[1])
 
 
 def test_loading_a_file_cancels_within_a_second(scene):

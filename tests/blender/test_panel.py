@@ -10,6 +10,7 @@ from adjgi.adjoint_gi.core import registry
 from adjgi.adjoint_gi.core.errors import Notice
 from adjgi.panels import draw, text, view3d
 from adjgi.tests.blender.fakes import Fake, FakeSettings, fake_method, square
+from adjgi.tests.blender.test_jobs import FakeBake
 
 ICONS = set(bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items.keys())
 
@@ -45,7 +46,7 @@ class Layout:
         assert name in data.bl_rna.properties, name
         self._add("prop", name, icon)
 
-    def prop_search(self, data, name, where, collection, icon="NONE"):
+    def prop_search(self, data, name, where, collection, text=None, icon="NONE"):
         assert name in data.bl_rna.properties and collection in where.bl_rna.properties
         self._add("prop", name, icon)
 
@@ -73,10 +74,18 @@ def state(registered):
     jobs.forget()
 
 
-def drawn(function):
+def drawn(function, context=None):
     layout = Layout()
-    function(layout, bpy.context)
+    function(layout, context or bpy.context)
     return layout
+
+
+def sidebar(width):
+    """The context with a region of this width at a resolution scale of 1; without a window Blender has a scale of 0."""
+    system = types.SimpleNamespace(ui_scale=1.0)
+    preferences = types.SimpleNamespace(system=system, ui_styles=bpy.context.preferences.ui_styles)
+    region = types.SimpleNamespace(width=width)
+    return types.SimpleNamespace(scene=bpy.context.scene, object=bpy.context.object, preferences=preferences, region=region)
 
 
 def show(monkeypatch, *notices):
@@ -126,11 +135,78 @@ def test_refusal_names_object_reason_and_remedy(state, monkeypatch):
     assert layout.names("operator") == ["adjoint_gi.bake"]
 
 
+def fake_job(monkeypatch, scene, **values):
+    """The current job, started in `scene`."""
+    driver = types.SimpleNamespace(fraction=0.256, seconds_left=75.2, text="Sample 3", seconds=12.34, rays=4_560_000)
+    state = {"state": "running", "active": True, "bake": types.SimpleNamespace(driver=driver), "notices": [], "solution": None}
+    job = types.SimpleNamespace(**(state | {"scene": scene.session_uid} | values))
+    monkeypatch.setattr(jobs, "_job", job)
+    return job
+
+
+def test_a_job_of_another_scene_says_so_and_is_continued_there(state, monkeypatch):
+    show(monkeypatch)
+    other = bpy.data.scenes.new("Attic")
+    job = fake_job(monkeypatch, other)
+    layout = drawn(draw.bake)
+    assert "Baking in scene Attic" in layout.words and layout.names("operator") == ["adjoint_gi.stop"]
+    job.state, job.active, job.notices = "stopped", False, [Notice("Cube", "is odd", "", "error")]
+    layout = drawn(draw.bake)
+    assert layout.words == "Stopped at 26 % in scene Attic"
+    assert layout.names("operator") == ["adjoint_gi.bake"] and not layout.names("progress")
+    job.state, job.solution = "failed", object()
+    layout = drawn(draw.bake)
+    assert layout.words == "A result waits to be written in scene Attic" and layout.names("operator") == ["adjoint_gi.bake"]
+    # With its scene gone nobody else can say what became of it.
+    bpy.data.scenes.remove(other)
+    layout = drawn(draw.bake)
+    assert "Cube: is odd" in layout.words and "adjoint_gi.write" in layout.names("operator")
+    monkeypatch.setattr(jobs, "_job", None)
+
+
+def test_what_the_check_says_is_not_said_twice(state, monkeypatch):
+    said = Notice("/gone", "is a file, not a folder", "Choose another folder", "error")
+    show(monkeypatch, said)
+    fake_job(monkeypatch, bpy.context.scene, state="finished", active=False, notices=[said, Notice("", "More")], solution=object())
+    layout = drawn(draw.bake)
+    assert layout.words.count("/gone") == 1 and "More" in layout.words and "adjoint_gi.write" in layout.names("operator")
+    monkeypatch.setattr(jobs, "_job", None)
+
+
+@pytest.mark.parametrize("width", [200, 305, 400])
+def test_nothing_is_wider_than_the_sidebar(state, width, monkeypatch):
+    """Lines leave room for icon, box and fold; names and values have the room that they are drawn in."""
+    context = sidebar(width)
+    measure = text._measure(context)
+    solution = next(Fake().solve(None, type("R", (), {"count": 3, "measure": "irradiance"}), FakeSettings(), None)).solution()
+    records.store(state.result, solution, target="texture", quantity="irradiance", applied=True)
+    state.result.method = "progressive_radiosity"
+    for m in registry.methods():
+        state.method = m.spec.id
+        lines = drawn(draw.choice, context).names("label")
+        assert "Cannot Do" in lines
+        # A panel inside a panel takes a unit more than text alone.
+        for line in lines[lines.index("Cannot Do") + 1 :]:
+            assert measure(line) <= width - 20 * (2.6 + 1 + 1.2), (m.spec.id, line)
+        for line in drawn(draw.settings, context).names("label"):
+            assert measure(line) <= width - 20 * 2.6, line
+    for line in drawn(draw.result, context).names("label"):
+        assert measure(line) <= width - 20 * 2.6, line
+
+
+def test_names_and_buttons_stand_below_each_other_where_they_would_be_cut():
+    words = ["Deterministic", "Nondeterministic"]
+    assert [text.fits(sidebar(width), words, 0.5) for width in (200, 305, 400)] == [False, True, True]
+    seen = []
+    layout = types.SimpleNamespace(row=lambda align: seen.append("row"), column=lambda align: seen.append("column"))
+    for width in (200, 305):
+        draw._beside(layout, sidebar(width), words)
+    assert seen == ["column", "row"]
+
+
 def test_a_running_job_can_only_be_stopped(state, monkeypatch):
     show(monkeypatch)
-    driver = types.SimpleNamespace(fraction=0.256, seconds_left=75.2, text="Sample 3", seconds=12.34, rays=4_560_000)
-    job = types.SimpleNamespace(state="running", active=True, bake=types.SimpleNamespace(driver=driver), notices=[], solution=None)
-    monkeypatch.setattr(jobs, "_job", job)
+    job = fake_job(monkeypatch, bpy.context.scene)
     layout = drawn(draw.bake)
     assert layout.names("progress") == ["26 %, 1 min 15 s left"]
     assert layout.names("operator") == ["adjoint_gi.stop"]
@@ -151,6 +227,30 @@ def test_result_shows_its_numbers(state):
     for word in ("3.00 billion", "10 W", "8 W", "1.9 W", "1 %", "Material Fake: is not real", "Partial result"):
         assert word in layout.words
     assert {"adjoint_gi.show_result", "adjoint_gi.restore", "adjoint_gi.clear_results"} == set(layout.names("operator"))
+
+
+def test_a_kept_result_is_told_once(state, monkeypatch, tmp_path):
+    show(monkeypatch)
+    monkeypatch.setattr(jobs.kept, "folder", lambda: tmp_path)
+    monkeypatch.setattr(jobs, "new_bake", FakeBake)
+    square()
+    state.selection_only, state.settings_fake.steps = True, 3
+    job = jobs.start(bpy.context, properties.request_of(bpy.context.scene))
+    bpy.data.objects["Square"].data.clear_geometry()
+    while job.active:
+        jobs.tick()
+    (file,) = map(str, tmp_path.iterdir())
+
+    def told():
+        layout = Layout()
+        for part in (draw.bake, draw.result):
+            part(layout, bpy.context)
+        return "".join(layout.names("label"))
+
+    # Long words are broken over lines.
+    assert told().count(file.split("/")[-1]) == 1 and told().count("mesh edited") == 1
+    jobs.forget()
+    assert told().count(file.split("/")[-1]) == 1 and told().count("mesh edited") == 1 and "Kept as a file" in told()
 
 
 def test_a_method_of_a_later_version_does_not_break_the_panel(state):

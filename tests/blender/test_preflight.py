@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 
 import bpy
@@ -10,7 +11,7 @@ import pytest
 from adjgi import solvers
 from adjgi.adjoint_gi.bridge import demo
 from adjgi.adjoint_gi.bridge import preflight as module
-from adjgi.adjoint_gi.bridge.bake import Bake, BakeRequest, preflight
+from adjgi.adjoint_gi.bridge.bake import Bake, BakeRequest, preflight, run
 from adjgi.adjoint_gi.core import registry
 from adjgi.adjoint_gi.core.errors import AdjointError
 
@@ -232,6 +233,98 @@ def test_56_folders_that_cannot_be_written_to(tmp_path, monkeypatch):
     refused_by(errors(output=str(tmp_path / "new" / "folder")), tmp_path.name, "no permission")
 
 
+def test_56_a_folder_beside_an_unsaved_file_is_refused(tmp_path):
+    plane(emission=(1, 1, 1))
+    notice = refused_by(errors(output="//out"), "Output folder", '"//out" is relative to the .blend file, which is not saved yet')
+    assert "Save the file" in notice.remedy
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    assert errors(output="//out") == [] and not (tmp_path / "out").exists()
+
+
+def test_56_a_folder_that_cannot_be_made_refuses_before_the_bake(tmp_path, monkeypatch):
+    made = plane(emission=(1, 1, 1))
+
+    def refuse(*_, **__):
+        raise OSError(2, "No such file or directory")
+
+    monkeypatch.setattr(module.files.Path, "mkdir", refuse)
+    with pytest.raises(AdjointError, match="out: cannot be made"):
+        Bake(bpy.context, request(output=str(tmp_path / "out")))
+    assert not made.data.uv_layers.get("Lightmap")
+
+
+def _hide(made):
+    made.hide_viewport = True
+
+
+def _flatten(made):
+    made.scale = (0, 0, 0)
+
+
+def _lose(made):
+    made.location.x = float("nan")
+
+
+def _far(made):
+    made.location.x = 1e13
+
+
+def _collection(made):
+    hidden = bpy.data.collections.new("Hidden")
+    hidden.hide_render = True
+    bpy.context.scene.collection.children.link(hidden)
+    hidden.objects.link(made)
+    bpy.context.scene.collection.objects.unlink(made)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (_hide, "is disabled in the viewport"),
+        (_flatten, "has a scale of zero or a matrix that is not a number"),
+        (_lose, "has a scale of zero or a matrix that is not a number"),
+        (_far, "lies further out"),
+        (_collection, "is hidden in render"),
+        (lambda made: made.data.clear_geometry(), "has no faces"),
+    ],
+)
+def test_an_object_that_is_left_out_gives_one_error_with_the_true_reason(change, reason):
+    plane(emission=(1, 1, 1))
+    made, other = plane("Left Out"), plane("Other")
+    other.location.z = 2
+    change(made)
+    notice = refused_by(errors(objects=("Left Out", "Other")), "Left Out", reason)
+    assert notice.object == "Left Out"
+    assert sum(reason in n.reason for n in said(objects=("Left Out", "Other"))) == 1
+    # Not asked for, it is no error, and others of the same reason keep theirs.
+    assert errors(objects=("Other",)) == []
+    second = plane("Also")
+    change(second)
+    found = [n for n in said(objects=("Left Out", "Other")) if reason in n.reason]
+    assert [(n.object, n.severity == "error") for n in found] == [("Left Out", True), ("Also", False)]
+
+
+def test_equal_reasons_are_one_notice_and_long_lists_are_cut():
+    for i in range(7):
+        made = plane(f"Plane {i}", emission=(1, 1, 1))
+        made.location.z = i
+        made.select_set(True)
+        bpy.context.view_layer.objects.active = made
+    bpy.ops.object.mode_set(mode="EDIT")
+    try:
+        notice = refused_by(errors("attribute"), "Plane 0, Plane 1, Plane 2, Plane 3 and 3 more", "its mesh is in edit mode")
+        assert len(notice.names) == 7
+        # Merged again with others, no name is lost or counted twice.
+        more = module.ordered([notice, module.Notice("Plane 0", *_words(notice)), module.Notice("New", *_words(notice))])
+        assert [n.object for n in more] == ["Plane 0, Plane 1, Plane 2, Plane 3 and 4 more"]
+    finally:
+        bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def _words(notice):
+    return notice.reason, notice.remedy, notice.severity
+
+
 def test_modifiers_that_change_the_mesh_refuse_an_attribute():
     made = plane(emission=(1, 1, 1))
     made.modifiers.new("Subdivide", "SUBSURF").levels = 1
@@ -268,3 +361,91 @@ def test_nothing_is_changed_by_looking():
     for target in ("texture", "attribute", "render"):
         said(target)
     assert before == (len(bpy.data.images), len(made.data.uv_layers), list(made.keys()), list(made.data.keys()))
+
+
+# ---- objects of other files
+
+
+@pytest.fixture
+def library(tmp_path):
+    """Put two objects into a file of their own, link them into the empty scene, and give the path of that file."""
+    plane("Far"), plane("Shape")
+    path = tmp_path / "library.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(str(path), link=True) as (_, wanted):
+        wanted.objects, wanted.meshes = ["Far"], ["Shape"]
+    bpy.context.scene.collection.objects.link(bpy.data.objects["Far"])
+    lamp()
+    return path
+
+
+def test_objects_of_other_files_are_skipped_with_a_warning(library, tmp_path):
+    plane("Near")
+    for target in ("texture", "attribute"):
+        assert errors(target) == []
+        (notice,) = [n for n in warnings(target) if "not baked" in n.reason]
+        assert notice.object == "Far" and "linked from another file" in notice.reason and "Make it local" in notice.remedy
+        assert [o.name for o in module.target_objects(bpy.context, request(target))] == ["Near"]
+    made, notices = run(bpy.context, request(output=str(tmp_path / "out")))
+    assert any(n.object == "Far" and "not baked" in n.reason for n in notices)
+    assert any("Near" in name for name in made.files) and not any("Far" in name for name in made.written)
+    assert len(made.world.scene.objects) == 2, "it is in the light"
+
+
+def test_overrides_and_linked_meshes_are_skipped_with_a_warning(library):
+    plane("Near")
+    linked("Local", bpy.data.meshes["Shape"]).location = (4, 0, 0)
+    bpy.data.objects["Far"].override_create(remap_local_usages=True)
+    found = {n.object: n for n in warnings() if "not baked" in n.reason}
+    assert "library override" in found["Far"].reason and found["Far"].remedy
+    assert 'its mesh "Shape" is linked' in found["Local"].reason and "Make Single User" in found["Local"].remedy
+    assert errors() == []
+    # With a UV layer of its own nothing has to be written to the mesh.
+    assert "Local" not in {n.object for n in said(uv_layer="UVMap") if "not baked" in n.reason}
+    assert "Local" not in {n.object for n in said("attribute", new_object=True) if "not baked" in n.reason}
+
+
+def test_only_objects_of_other_files_are_refused(library):
+    notice = refused_by(errors(), "Far", "linked from another file")
+    assert "Make it local" in notice.remedy
+    with pytest.raises(AdjointError, match="Far"):
+        Bake(bpy.context, request())
+
+
+def test_objects_of_other_files_that_are_named_are_refused(library):
+    plane("Near")
+    refused_by(errors(objects=("Far", "Near")), "Far", "linked from another file")
+
+
+def test_a_missing_library_is_named(library):
+    plane("Near")
+    use = library.with_name("use.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=str(use))
+    library.unlink()
+    with contextlib.suppress(RuntimeError):  # Blender reports the missing file as an error and opens the rest
+        bpy.ops.wm.open_mainfile(filepath=str(use))
+    (notice,) = [n for n in said() if "Far" in n.object]
+    assert notice.severity == "warning" and "its library file is missing" in notice.reason and "library.blend" in notice.reason
+    notice = refused_by(errors(objects=("Far",)), "Far", "its library file is missing")
+    assert "relocate" in notice.remedy
+
+
+def test_an_object_that_its_library_lost_is_named(library):
+    plane("Near")
+    use = library.with_name("use.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=str(use))
+    bpy.ops.wm.open_mainfile(filepath=str(library))
+    bpy.data.objects.remove(bpy.data.objects["Far"])
+    bpy.ops.wm.save_as_mainfile(filepath=str(library))
+    with contextlib.suppress(RuntimeError):
+        bpy.ops.wm.open_mainfile(filepath=str(use))
+    (notice,) = [n for n in said() if "Far" in n.object]
+    assert notice.severity == "warning" and "not in its library file any more" in notice.reason and notice.remedy
+
+
+def test_a_refusal_carries_all_errors():
+    plane("Hidden").hide_render = True
+    with pytest.raises(AdjointError) as refused:
+        Bake(bpy.context, request(objects=("Nobody", "Hidden")))
+    assert [n.object for n in (refused.value.notice, *refused.value.others)] == ["Nobody", "Hidden"]

@@ -8,7 +8,7 @@ import pytest
 from adjgi.adjoint_gi.bridge import fields, properties, records
 from adjgi.adjoint_gi.core import registry
 from adjgi.adjoint_gi.core.errors import SettingsError
-from adjgi.tests.blender.fakes import Fake, FakeSettings, fake_method
+from adjgi.tests.blender.fakes import Fake, FakeSettings, fake_method, square
 
 
 @pytest.fixture
@@ -118,3 +118,17 @@ def test_record_keeps_the_numbers_and_clears(state):
     assert [n.notice().reason for n in r.notices] == ["is not real"]
     records.clear(r)
     assert (r.method, r.rays, len(r.notices), r.has_balance) == ("", "", 0, False)
+
+
+def test_the_folder_is_passed_on_as_it_was_typed(state):
+    square()
+    state.folder = "//out"
+    state.target = "texture"
+    assert properties.request_of(bpy.context.scene).output == "//out"
+    state.target = "attribute"  # it has no field for a folder there
+    assert properties.request_of(bpy.context.scene).output == ""
+
+
+@pytest.mark.filterwarnings("error")
+def test_folders_may_be_relative_to_the_file(state):
+    bpy.context.scene.adjoint_gi.folder = bpy.context.scene.adjoint_gi_compare.folder = "//out"

@@ -8,6 +8,7 @@ import pytest
 from adjgi.adjoint_gi.bridge.extract_mesh import read_mesh
 from adjgi.adjoint_gi.bridge.extract_notices import Notices
 from adjgi.adjoint_gi.bridge.write_attribute import (
+    WrittenAttribute,
     check_attribute_target,
     linked_attribute,
     remove_attributes,
@@ -98,6 +99,35 @@ def test_a_foreign_attribute_of_our_name_is_never_touched():
     # Baked again, the same ones are updated.
     assert write_attribute(obj, "irradiance", "CORNER", ones * 3, np.ones(24), name="Light").attribute == first
     assert np.all(read(obj, first)[:, :3] == 3) and len(obj.data.color_attributes) == 3
+
+
+def test_another_name_makes_another_attribute_and_each_is_found_again():
+    obj = cube()
+    ones = np.ones((24, 3), np.float32)
+
+    def write(value, name):
+        return write_attribute(obj, "irradiance", "CORNER", ones * value, np.ones(24), name=name)
+
+    assert [write(1, "Full").attribute, write(2, "DirectOnly").attribute] == ["Full", "DirectOnly"]
+    assert linked_attribute(obj, "irradiance") == "DirectOnly"
+    assert read(obj, "Full")[0, 0] == 1 and read(obj, "DirectOnly")[0, 0] == 2
+    assert write(3, "Full") == WrittenAttribute(obj, "Full") and linked_attribute(obj, "irradiance") == "Full"
+    assert read(obj, "Full")[0, 0] == 3 and read(obj, "DirectOnly")[0, 0] == 2 and len(obj.data.color_attributes) == 2
+    # Renamed by the user, it is still the one for that name.
+    obj.data.attributes["Full"].name = "Mine"
+    assert linked_attribute(obj, "irradiance") == "Mine"
+    assert write(4, "Full") == WrittenAttribute(obj, "Mine") and read(obj, "Mine")[0, 0] == 4
+    assert write_attribute(obj, "irradiance", "POINT", ones[:8], np.ones(8), name="Full").attribute == "Mine"
+    assert remove_attributes(obj) == 2 and not obj.data.color_attributes
+
+
+def test_a_number_that_is_added_to_the_name_is_told_once():
+    obj = cube()
+    obj.data.attributes.new("Light", "FLOAT", "POINT")
+    ones = np.ones((24, 3), np.float32)
+    taken = write_attribute(obj, "irradiance", "CORNER", ones, np.ones(24), name="Light").taken
+    assert taken.object == "Cube" and '"Light"' in taken.reason and '"Light.001"' in taken.reason and taken.remedy
+    assert write_attribute(obj, "irradiance", "CORNER", ones, np.ones(24), name="Light").taken is None
 
 
 def test_changing_the_domain_replaces_our_attribute():

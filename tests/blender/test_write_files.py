@@ -7,6 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.bridge import files
 from adjgi.adjoint_gi.bridge.files import output_file, output_folder, safe_name
 from adjgi.adjoint_gi.bridge.write_image import read_pixels
 from adjgi.adjoint_gi.core.errors import TargetError, WriteError
@@ -95,3 +96,24 @@ def test_folders(tmp_path):
         output_folder(str(tmp_path / "file" / "below"))
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
     assert output_folder("//out/../else") == Path(tmp_path / "else")
+
+
+def test_looking_at_a_folder_makes_nothing_and_making_it_writes_there(tmp_path, monkeypatch):
+    wanted = tmp_path / "new" / "deep"
+    assert output_folder(str(wanted), create=False) == wanted and not (tmp_path / "new").exists()
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(WriteError, match="is a file, not a folder"):
+        output_folder(str(tmp_path / "file" / "below"), create=False)
+    with pytest.raises(TargetError, match="not saved yet"):
+        output_folder("//out", create=False)
+
+    def refuse(*_, **__):
+        raise OSError(30, "Read-only file system")
+
+    # The user who runs the tests may be allowed everything, so the system's answers are replaced.
+    monkeypatch.setattr(files.tempfile, "TemporaryFile", refuse)
+    with pytest.raises(WriteError, match="cannot be written to .Read-only file system"):
+        output_folder(str(wanted))
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    with pytest.raises(WriteError, match="cannot be made .Read-only file system"):
+        output_folder(str(tmp_path / "other"))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.agreement import (
     ALPHA,
+    LOUD,
     Groups,
     Measured,
     ShotFlux,
@@ -37,6 +40,11 @@ def measured(name, value, error=0.0, freedom=0, allowance=0.0, **more):
     return Measured(name, name.title(), value, np.full(OBJECTS, float(error)), freedom, allowance, **more)
 
 
+def shot_by(world, found, low, high, both=True):
+    """Flux by Eq. 4 of 16 batches."""
+    return next(s for s in shoot(world, found, both, low, high, seed=1) if s is not None and s.batches >= 16)
+
+
 TABLE = [(2.776, 4, 0.05), (4.604, 4, 0.01), (3.182, 3, 0.05), (2.042, 30, 0.05), (1.96, math.inf, 0.05), (0, 5, 1.0), (10, 3.0, 0.002128)]
 
 
@@ -61,6 +69,36 @@ def test_weights_of_elements_and_points_are_areas():
     assert found.flux(np.ones((len(found.owner), 3))).tolist() == pytest.approx([3 * a for a in areas.values()])
 
 
+def test_points_weigh_a_linear_irradiance_as_particles_do():
+    """Coarse texels: points off the middle, some receivers across an edge of the cube. For an irradiance linear on each triangle both
+    equations then agree exactly, though with g = 1 they would be far apart."""
+    world = World(scenes.cube())
+    rng = np.random.default_rng(3)
+    start = np.array([0, 3, 5, 9, 12, 16, 20, 24])
+    triangle = np.concatenate([[0, 0, 1], [0, 1], rng.integers(0, 12, 19)])
+    u = 0.6 * rng.random(24)
+    v = (1 - u) * 0.5 * rng.random(24)
+    found = groups_of(world, SurfaceReceivers("texels", start, triangle, u, v))
+    c = rng.random((12, 3)) + 0.2
+
+    def irradiance(t, u, v):
+        return c[t, 0] + c[t, 1] * u + c[t, 2] * v
+
+    mean = np.add.reduceat(irradiance(triangle, u.astype(np.float32), v.astype(np.float32)), start[:-1]) / np.diff(start)
+    gathered = found.flux(np.repeat(mean[:, None], 3, axis=1)).sum()
+    # Quadrature of degree 2: exact for products of linear functions.
+    sites = np.array([(1 / 6, 1 / 6), (2 / 3, 1 / 6), (1 / 6, 2 / 3)])
+    shot, plain = 0.0, 0.0
+    for t in np.flatnonzero(found.triangle >= 0):
+        for a, b in sites:
+            at = SimpleNamespace(triangle=np.array([t]), u=np.array([a]), v=np.array([b]))
+            shot += world.area[t] * irradiance(t, a, b) * found.source(at)[0]
+            plain += world.area[t] * irradiance(t, a, b)
+    assert gathered == pytest.approx(shot, rel=1e-5)
+    assert abs(gathered / plain - 1) > 0.02
+    assert found.points.sum() == 24 and (found.g[found.triangle < 0] == 0).all() and groups().source(None) == 1.0
+
+
 def test_triangles_without_a_point_are_in_no_group():
     world = World(scenes.cube())
     one = SurfaceReceivers("texels", np.array([0, 2]), np.array([0, 0]), np.array([0.2, 0.3]), np.array([0.2, 0.3]))
@@ -74,7 +112,7 @@ def test_flux_by_particles_is_that_of_the_closed_form():
     rho, emitted = 0.5, 1.0
     world = World(scenes.cube(rho, emitted))
     found = groups_of(world, ElementReceivers(Elements(world, max_edge=0.5)))
-    for shot in shoot(world, found, True, 64, seed=1):
+    for shot in shoot(world, found, True, 0, 64, seed=1):
         if shot is not None and shot.batches >= 16:
             break
     expected = 3 * emitted / (1 - rho)
@@ -83,12 +121,16 @@ def test_flux_by_particles_is_that_of_the_closed_form():
     assert total == pytest.approx(6 * expected, abs=5 * shot.error.sum())
     assert shot.error.sum() < 0.01 * total
     assert shot.rays > 16 << 14
+    # Without direct light what is left is rho times as much.
+    later = shot_by(world, found, 2, 64)
+    assert later.value.sum() == pytest.approx(6 * rho * expected, abs=5 * later.error.sum())
+    assert not shot_by(world, found, 2, 1).value.any()
 
 
 def test_nothing_is_shot_in_the_dark():
     world = World(scenes.cube(0.5, 0.0))
     found = groups_of(world, ElementReceivers(Elements(world, max_edge=1.0)))
-    shot = next(shoot(world, found, True, 8, seed=1))
+    shot = next(shoot(world, found, True, 0, 8, seed=1))
     assert not shot.value.any() and not shot.error.any()
 
 
@@ -150,6 +192,43 @@ def test_both_equations_are_compared_too():
     np.testing.assert_allclose(found.gaps, [[0.005] * OBJECTS, [0.2] * OBJECTS], atol=1e-12)
     assert any(line.startswith("DISAGREE: Bad and Eq. 4 differ") for line in found.lines)
     assert not any("Fine and Eq. 4" in line for line in found.lines)
+
+
+def test_few_points_allow_for_the_edges_of_shadows():
+    shot = ShotFlux(np.ones(OBJECTS), np.full(OBJECTS, 0.0001), 32, 1)
+    for points, agrees in ((134, True), (20_000, False)):
+        few = replace(groups(), points=np.full(OBJECTS, points))
+        assert agreement(few, [measured("texels", 1.03)], shot).agrees == agrees
+
+
+def test_other_path_lengths_are_not_compared():
+    shot = ShotFlux(np.ones(OBJECTS), np.full(OBJECTS, 0.001), 32, 1)
+    sides = [measured("all", 1.0), measured("also", 1.0), measured("later", 0.2, lengths=(2, 64))]
+    found = agreement(groups(), sides, shot)
+    assert found.agrees and {d.first for d in found.differences} | {d.second for d in found.differences} == {"All", "Also", "Eq. 4"}
+    assert np.isnan(found.gaps[2]).all() and np.isfinite(found.gaps[:2]).all()
+    assert found.lines[-1].startswith("Not compared: path lengths 0 and more (All, Also, Eq. 4) with path lengths 2 and more (Later)")
+    assert not agreement(groups(), sides, shot, (2, 64)).agrees  # then Later stands against Eq. 4
+
+
+@pytest.mark.filterwarnings("error")
+def test_two_methods_that_find_nothing_at_an_object_agree_there():
+    dark = np.array([1.0, 1.0, 0.0, 1.0, 1.0])
+    for values in (dark, np.zeros(OBJECTS)):
+        found = agreement(groups(), [measured("a", values), measured("b", values)], None)
+        assert found.agrees and [(d.t, d.p) for d in found.differences] == [(0.0, 1.0)]
+
+
+def test_few_repeats_that_hide_a_large_difference_are_said():
+    """With one degree of freedom hardly anything is significant: that is no agreement."""
+    far, near = measured("far", 0.4, 0.03, 1), measured("near", 0.99, 0.03, 1)
+    found = agreement(groups(), [measured("exact", 1.0), near, far], None)
+    assert found.agrees and not any(d.significant for d in found.differences)
+    assert found.lines[0].startswith("Agree: 1 of 3 pairs") and "2 cannot be told" in found.lines[0]
+    assert found.lines[1].startswith("Too few repeats to tell: Exact and Far differ by 85.7 % on Object")
+    assert "(Near and Far with 2 repeats)" in found.lines[1] and found.lines[1].startswith(LOUD)
+    enough = agreement(groups(), [measured("exact", 1.0), measured("far", 0.4, 0.01, 3)], None)
+    assert enough.differences[0].unknown == "" and not enough.agrees
 
 
 def test_a_leak_into_a_dark_object_is_no_disagreement():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from dataclasses import dataclass, replace
@@ -9,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core import comparison, page, registry
+from adjgi.adjoint_gi.core.agreement import groups_of
 from adjgi.adjoint_gi.core.comparison import Budget, Meter, Plan, Reference, constant_reference, error_of, reason_not_to, winner
 from adjgi.adjoint_gi.core.driver import Driver
 from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
@@ -83,12 +85,36 @@ class Other(Counting):
     spec = replace(Counting.spec, id="other", number=903, label="Other", answers="potential")
 
 
+class Later(Counting):
+    """The same after a first pass of so many steps, during which its answer is 9."""
+
+    spec = replace(Counting.spec, id="later", number=904, label="Later", natures=(Nature.DETERMINISTIC, Nature.NONDETERMINISTIC))
+    steps = 20
+
+    def solve(self, world, receivers, settings, rng):
+        n = receivers.count
+        zero, first = np.zeros((n, 3), np.float32), np.full((n, 3), 9, np.float32)
+        for k in range(1, self.steps + 1):
+            time.sleep(STEP)
+
+            def solution(k=k):
+                return Solution("later", "irradiance", zero, first, zero, zero, np.ones(n, np.float32), rays=RAYS * k, partial=True)
+
+            yield Step(0.3 * k / self.steps, "first", solution)
+        for step in super().solve(world, receivers, settings, rng):
+            at = step.solution()
+            yield Step(0.3 + 0.7 * step.fraction, "then", lambda at=at: replace(at, rays=at.rays + RAYS * self.steps))
+
+
+CLASSES = (Counting, Exact, Other, Later)
+
+
 @pytest.fixture
 def methods():
-    for cls in (Counting, Exact, Other):
+    for cls in CLASSES:
         registry.register(cls)
     yield
-    for cls in (Counting, Exact, Other):
+    for cls in CLASSES:
         del registry._METHODS[cls.spec.id]
 
 
@@ -181,6 +207,60 @@ def test_the_budget_ends_methods_that_would_end_too_early(methods, place):
     plan = Plan(("exact",), Budget("time", 0.4), settings={"exact": CountSettings(samples=2)}, repeats=0)
     entry = compare(place, plan, constant_reference((1.0,), place[1].count)).entries[0]
     assert entry.state == "finished" and entry.settings["samples"] == 2
+    assert [n.severity for n in entry.notices] == ["info"] and "ended by itself after" in entry.notices[0].reason
+
+
+def test_the_budget_ends_methods_that_solve_something_first(methods, place):
+    """Their samples go on until the budget ends; before the first one their result is not what they promise."""
+    known = constant_reference((1.0,), place[1].count)
+    plan = Plan(("later",), Budget("time", 0.6), settings={"later": CountSettings(samples=2)}, repeats=2)
+    entry = compare(place, plan, known).entries[0]
+    assert entry.state == "budget" and entry.complete and entry.seconds > 0.6
+    assert entry.rays > RAYS * (Later.steps + 20) and entry.error < 0.3
+    # Runs with other seeds come to samples, too: no flux is that of the first pass.
+    whole = 3 * result_area(place)
+    np.testing.assert_allclose(entry.fluxes.sum(axis=1), whole, rtol=0.3)
+    short = Plan(("later",), Budget("time", 0.05), settings={"later": CountSettings(samples=2)}, repeats=2)
+    entry = compare(place, short, known).entries[0]
+    assert not entry.complete and entry.fluxes is None and "did not end" in entry.notices[0].reason
+    assert entry.settings["samples"] == 2
+
+
+def result_area(place):
+    return groups_of(*place).area.sum()
+
+
+def test_runs_with_other_seeds_take_no_longer_than_the_error_took(methods, place):
+    plan = Plan(("counting",), Budget("error", 0.3, 3.0), repeats=2)
+    result = compare(place, plan, constant_reference((1.0,), place[1].count))
+    assert result.entries[0].state == "reached" and len(result.entries[0].fluxes) == 2
+    assert result.seconds < 3.0
+
+
+def test_a_reference_of_nothing_is_refused(methods, place):
+    with pytest.raises(SettingsError, match="a relative error needs a mean above 0"):
+        Comparison(constant_reference((0.0,), 3))
+    with pytest.raises(SettingsError, match="known at no receiver"):
+        Comparison(Reference("x", np.ones((3, 3)), np.zeros(3, bool)))
+    plan = Plan(("exact",), Budget("time", 0.1), "counting", 0.1, {"counting": CountSettings(bias=-1.0)}, repeats=0)
+    with pytest.raises(SettingsError, match="the mean of Counting"):
+        compare(place, plan)
+
+
+def test_path_lengths_that_differ_are_said(methods, place):
+    settings = {"exact": CountSettings(samples=2, min_length=2), "counting": CountSettings(), "later": CountSettings(max_length=1024)}
+    plan = Plan(("exact", "counting", "later"), Budget("time", 0.3), "counting", 0.2, settings, repeats=2)
+    result = compare(place, plan)
+    exact, counting, later = result.entries
+    assert [e.lengths for e in result.entries] == [(2, 64), (1, 64), (1, 64)]
+    assert any("the reference 1 to 64: its error holds that difference" in n.reason for n in exact.notices)
+    assert not any("its error holds" in n.reason for n in (*counting.notices, *later.notices))
+    assert page.gap_of(result, exact) is None
+    data = json.loads(json.dumps(page.as_json(result), allow_nan=False))
+    assert [m["lengths"] for m in data["methods"]] == [[2, 64], [1, 64], [1, 64]]
+    assert [m["gap"] is None for m in data["agreement"]["methods"]] == [True, False, False]
+    text = page.page("x", result, {}, [])
+    assert "Not compared: path lengths 2 and more (Exact) with" in text and "nan" not in text
 
 
 def test_the_winner_has_the_least_error_at_equal_time_and_the_least_time_at_equal_error(methods, place):
@@ -248,6 +328,8 @@ def test_a_stopped_comparison_keeps_what_it_has(methods, place):
     result = driver.solution()
     assert result.partial and [e.method for e in result.entries] == ["exact"]
     assert (result.entries[0].state, result.entries[0].complete) == ("partial", False)
+    assert result.entries[0].error is not None and result.winner is None  # others have not run
+    assert page.best_text(result).startswith("There is no winner") and '<tr class="best">' not in page.page("x", result, {}, [])
     assert driver.cancel()
 
 

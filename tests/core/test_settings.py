@@ -59,8 +59,9 @@ def test_refusals_name_the_field_and_the_remedy(key, value, words):
 
 
 def test_path_lengths_in_the_wrong_order():
-    with pytest.raises(SettingsError, match=r"min_length: 5 is more than max_length 2"):
+    with pytest.raises(SettingsError, match=r"Min Path Length \(min_length\): 5 is more than Max Path Length \(max_length\) 2") as caught:
         Example(min_length=5, max_length=2)
+    assert caught.value.notice.remedy == "Lower it or raise Max Path Length (max_length)"
     assert Example(min_length=0, max_length=0).max_length == 0
 
 

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Images that Blender does not hand out as Cycles reads them: 16 bits with alpha, sequences, movies, results of renders."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import bpy
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.bridge.extract import extract
+from adjgi.adjoint_gi.bridge.image_header import sequence_file
+from adjgi.tests.cycles_patch import render_patch, shader_material, white_plane
+
+
+def png(path, rgba, bits=8):
+    """A picture of 2 x 2 equal pixels, values from 0 to 1."""
+
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    pixel = struct.pack(">4H" if bits == 16 else ">4B", *(round(v * (2**bits - 1)) for v in rgba))
+    header = struct.pack(">IIBBBBB", 2, 2, bits, 6, 0, 0, 0)
+    rows = zlib.compress((b"\0" + pixel * 2) * 2)
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b""))
+    return str(path)
+
+
+def emitter(image, alpha_used=False):
+    """A plane that emits the image; with `alpha_used` the Alpha output is linked, without an effect. Returns the image node."""
+    material = shader_material("m", "ShaderNodeEmission")
+    tree = material.node_tree
+    node = tree.nodes.new("ShaderNodeTexImage")
+    node.image, node.interpolation = image, "Closest"
+    emission = next(n for n in tree.nodes if n.type == "EMISSION")
+    tree.links.new(node.outputs["Color"], emission.inputs["Color"])
+    if alpha_used:
+        one = tree.nodes.new("ShaderNodeMath")
+        one.operation, one.inputs[1].default_value, one.inputs[2].default_value = "MULTIPLY_ADD", 0.0, 1.0
+        tree.links.new(node.outputs["Alpha"], one.inputs[0])
+        tree.links.new(one.outputs[0], emission.inputs["Strength"])
+    white_plane(2.0, material)
+    return node
+
+
+def notices():
+    """(arrays, sentences about images) of the scene as it is."""
+    arrays = extract(bpy.context.evaluated_depsgraph_get())
+    return arrays, [str(n) for n in arrays.warnings if n.object.startswith("Image")]
+
+
+@pytest.mark.parametrize("mode", ["STRAIGHT", "CHANNEL_PACKED", "NONE"])
+@pytest.mark.parametrize("space", ["sRGB", "Non-Color", "Linear Rec.709"])
+@pytest.mark.parametrize("linked", [False, True])
+def test_alpha_of_16_bits(tmp_path, mode, space, linked):
+    image = bpy.data.images.load(png(tmp_path / "a.png", (0.8, 0.5, 0.2, 0.5), 16))
+    image.colorspace_settings.name, image.alpha_mode = space, mode
+    emitter(image, linked)
+    arrays, told = notices()
+    np.testing.assert_allclose(arrays.textures[0].pixels[0, 0, :3], render_patch(pixels=4, samples=1)[0, 0], atol=1e-3)
+    assert told == []
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_alpha_that_the_file_has_not_is_named(tmp_path, bits):
+    image = bpy.data.images.load(png(tmp_path / "a.png", (0.8, 0.5, 0.2, 0.5), bits))
+    image.alpha_mode = "PREMUL"
+    emitter(image)
+    _, told = notices()
+    assert len(told) == 1 and "premul alpha, unlike its file format" in told[0] and "Straight" in told[0]
+
+
+SETTINGS = [(1, 0, 3, False), (1, 0, 3, True), (2, 1, 3, False), (2, 1, 2, True), (1, -2, 5, False)]
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+@pytest.mark.parametrize("refresh", [False, True])
+def test_the_frame_of_a_sequence_is_that_of_cycles(tmp_path, setting, refresh):
+    for k in range(1, 5):
+        png(tmp_path / f"f2_{k:03d}.png", (0.2 * k, 0.2 * k, 0.2 * k, 1.0))
+    image = bpy.data.images.load(str(tmp_path / "f2_001.png"))
+    image.source = "SEQUENCE"
+    image.colorspace_settings.name = "Non-Color"
+    user = emitter(image).image_user
+    user.frame_start, user.frame_offset, user.frame_duration, user.use_cyclic = setting
+    user.use_auto_refresh = refresh
+    for frame in (-2, 1, 2, 3, 5):
+        bpy.context.scene.frame_set(frame)
+        arrays, told = notices()
+        theirs = render_patch(pixels=4, samples=1)[0, 0]
+        assert len(told) == 1
+        if theirs[0] == theirs[1]:
+            np.testing.assert_allclose(arrays.textures[0].pixels[0, 0, :3], theirs, atol=1e-3)
+            assert f"its frame {round(theirs[0] / 0.2)} is used" in told[0]
+        else:  # Cycles' pink
+            assert not arrays.textures and "image sequence whose file of frame" in told[0] and "is missing" in told[0]
+    assert {i.name for i in bpy.data.images} <= {image.name, "Render Result"}  # what was loaded for the moment is gone
+
+
+def test_two_nodes_show_two_frames(tmp_path):
+    for k in (1, 2):
+        png(tmp_path / f"{k}.png", (0.3 * k, 0.3 * k, 0.3 * k, 1.0))
+    image = bpy.data.images.load(str(tmp_path / "1.png"))
+    image.source = "SEQUENCE"
+    for offset in (0, 1):
+        user = emitter(image).image_user
+        user.frame_duration, user.frame_offset = 1, offset
+    arrays, told = notices()
+    assert len(arrays.textures) == 2 and len(told) == 2
+    assert arrays.textures[0].pixels[0, 0, 0] < arrays.textures[1].pixels[0, 0, 0]
+
+
+def test_names_of_frames():
+    image = bpy.data.images.new("i", 2, 2)
+    for path, expected in (("/a/b12_0007.v.png", "/a/b12_0123.v.png"), ("/a/7x.exr", "/a/123x.exr"), ("/a/b.png", "/a/b.png")):
+        image.filepath = path
+        assert sequence_file(image, 123) == expected
+
+
+def test_movies_are_told_once(tmp_path):
+    image = bpy.data.images.load(png(tmp_path / "a.png", (1.0, 1.0, 1.0, 1.0)))
+    image.source = "MOVIE"
+    emitter(image)
+    _, told = notices()
+    assert len(told) == 1 and "movie" in told[0]
+
+
+def test_results_of_renders_are_named(tmp_path):
+    """Blender gives no pixels of a render result and of the layers of a file; the notice says so, not that a file is missing."""
+    render_patch(pixels=4, samples=1)  # makes the render result
+    settings = bpy.context.scene.render.image_settings
+    if hasattr(settings, "media_type"):
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format = "OPEN_EXR_MULTILAYER"
+    path = str(tmp_path / "layers.exr")
+    bpy.data.images["Render Result"].save_render(path, scene=bpy.context.scene)
+    emitter(bpy.data.images["Render Result"])
+    emitter(bpy.data.images.load(path))
+    arrays, told = notices()
+    assert not arrays.textures and len(told) == 2
+    assert any("Render Result" in t and "is a render result, whose pixels Blender does not give" in t for t in told)
+    assert any("layers.exr" in t and "is a multilayer OpenEXR" in t for t in told)
