@@ -130,6 +130,20 @@ BUGS = (
         "    return (0.0 + k * np.array([1 / g, 1 / g**2])) % 1.0",
         "tests/core/test_lightmap.py",
     ),
+    Bug(
+        "bounces between microfacets given back by the view's angle alone",
+        "adjoint_gi/core/multiscatter.py",
+        "        return self.at(row, inside, wo[:, 2]) * self.at(row, inside ^ (wi[:, 2] < 0), wi[:, 2]) - 1",
+        "        return self.at(row, inside, wo[:, 2]) ** 2 - 1",
+        "tests/core/test_bsdf.py -k reciprocal",
+    ),
+    Bug(
+        "caustics counted at every path length",
+        "adjoint_gi/core/caustics.py",
+        "self.unmet[window[0] : window[1] + 1].sum(axis=0)",
+        "self.unmet.sum(axis=0)",
+        "tests/methods/test_multi_pass.py -k caustics",
+    ),
 )
 
 
