@@ -10,6 +10,7 @@ here.
 from __future__ import annotations
 
 import os
+import threading
 
 import bpy
 import numpy as np
@@ -90,6 +91,11 @@ class Images:
         if not os.path.isfile(path):
             text = f'is an image sequence whose file of frame {frame}, "{os.path.basename(path)}", is missing; {GREY}'
             self._notices.add(name, text, "Find the file, or choose the frames that there are in the node")
+            return None
+        if threading.current_thread() is not threading.main_thread():
+            # F12 in a window reads the scene in a thread of Blender's, from which no datablock may be made.
+            text = f"is an image sequence, which F12 in a window cannot read; {GREY}"
+            self._notices.add(name, text, "Bake, render in background (blender -b), or use a single image")
             return None
         single = bpy.data.images.load(path, check_existing=False)
         try:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import struct
+import threading
 import zlib
 
 import bpy
@@ -96,6 +97,20 @@ def test_the_frame_of_a_sequence_is_that_of_cycles(tmp_path, setting, refresh):
         else:  # Cycles' pink
             assert not arrays.textures and "image sequence whose file of frame" in told[0] and "is missing" in told[0]
     assert {i.name for i in bpy.data.images} <= {image.name, "Render Result"}  # what was loaded for the moment is gone
+
+
+def test_a_sequence_is_not_loaded_from_a_thread_of_the_renderer(tmp_path):
+    """In a window F12 extracts in a thread, where a new datablock could crash Blender."""
+    png(tmp_path / "s_001.png", (0.3, 0.3, 0.3, 1.0))
+    image = bpy.data.images.load(str(tmp_path / "s_001.png"))
+    image.source = "SEQUENCE"
+    emitter(image)
+    found = []
+    thread = threading.Thread(target=lambda: found.append(notices()))
+    thread.start()
+    thread.join()
+    arrays, told = found[0]
+    assert not arrays.textures and any("F12 in a window cannot read" in text for text in told)
 
 
 def test_two_nodes_show_two_frames(tmp_path):
