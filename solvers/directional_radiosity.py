@@ -21,12 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..adjoint_gi.core import bsdf
-from ..adjoint_gi.core.answer import elements_for
+from ..adjoint_gi.core.answer import element_count, elements_for
 from ..adjoint_gi.core.directional_answer import DirectionalAnswer, Light
 from ..adjoint_gi.core.directional_rays import ArrivingLight, DirectionalRays, Sink
 from ..adjoint_gi.core.directional_transport import DirectionalTransport, bytes_needed, pairs_needed
 from ..adjoint_gi.core.directions import Bins
-from ..adjoint_gi.core.elements import Elements
 from ..adjoint_gi.core.emitters import Emitters
 from ..adjoint_gi.core.errors import MemoryRefused, Notice
 from ..adjoint_gi.core.radiosity import RadiositySettings, dark_notices
@@ -113,8 +112,7 @@ class DirectionalRadiosity(Solver):
 
     def memory(self, world: World, receivers: Receivers, settings: DirectionalSettings) -> int:
         """Rays both ways, fields of element sides times bins, scattering matrices, receivers."""
-        own = getattr(receivers, "elements", None)
-        count = own.count if own is not None else Elements.planned(world, settings.max_edge, TARGET)
+        count = element_count(world, receivers, settings.max_edge, TARGET)
         lobes = {(x.kind, x.roughness, x.ior, x.multiscatter) for m in world.scene.materials for x in m.lobes if x.kind in bsdf.KINDS}
         parts = sum((2 if kind == "metallic" else 1) * (2 if multiscatter else 1) for kind, _, _, multiscatter in lobes)
         bins = settings.bin_rows * settings.bin_columns

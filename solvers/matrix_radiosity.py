@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core.answer import ElementAnswer, elements_for
+from ..adjoint_gi.core.answer import ElementAnswer, element_count, elements_for
 from ..adjoint_gi.core.elements import Elements
 from ..adjoint_gi.core.emitters import Emitters
 from ..adjoint_gi.core.errors import MemoryRefused, Notice
@@ -103,8 +103,7 @@ class MatrixRadiosity(Solver):
 
     def memory(self, world: World, receivers: Receivers, settings: MatrixSettings) -> int:
         """At most this: as if light reached both sides of every element."""
-        own = getattr(receivers, "elements", None)
-        count = own.count if own is not None else Elements.planned(world, settings.max_edge, TARGET)
+        count = element_count(world, receivers, settings.max_edge, TARGET)
         return bytes_needed(2 * count, settings.rays) + 600 * count + 100 * receivers.count
 
     def solve(self, world: World, receivers: Receivers, settings: MatrixSettings, rng: np.random.Generator) -> Iterator[Step]:

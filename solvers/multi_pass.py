@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..adjoint_gi.core import bsdf
-from ..adjoint_gi.core.answer import ElementAnswer, Parts, elements_for
+from ..adjoint_gi.core.answer import ElementAnswer, Parts, element_count, elements_for
 from ..adjoint_gi.core.caustics import Caustics
 from ..adjoint_gi.core.chains import Chains
 from ..adjoint_gi.core.element_rays import ElementRays
@@ -133,8 +133,7 @@ class MultiPass(Solver):
 
     def memory(self, world: World, receivers: Receivers, settings: MultiPassSettings) -> int:
         """Elements, rays under way, receivers in both passes and their points."""
-        own = getattr(receivers, "elements", None)
-        count = own.count if own is not None else Elements.planned(world, settings.max_edge, TARGET)
+        count = element_count(world, receivers, settings.max_edge, TARGET)
         sides = 2 * 3 * 8 * (30 + settings.depth)
         return count * (700 + sides) + 900 * LARGEST_BATCH + 1200 * receivers.count + 600 * BATCH * thread_count()
 

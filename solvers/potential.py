@@ -27,11 +27,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..adjoint_gi.core import settings as base
-from ..adjoint_gi.core.answer import ElementAnswer, elements_for
+from ..adjoint_gi.core.answer import ElementAnswer, element_count, elements_for
 from ..adjoint_gi.core.bsdf import ALL_LOBES, BsdfTable
 from ..adjoint_gi.core.detectors import Detector, FaceDetector, Flux, detector, flux_by_particles, flux_by_potential
 from ..adjoint_gi.core.element_rays import ElementRays
-from ..adjoint_gi.core.elements import Elements
 from ..adjoint_gi.core.emission import Particles
 from ..adjoint_gi.core.emitters import Emitters
 from ..adjoint_gi.core.errors import MemoryRefused, Notice
@@ -167,8 +166,7 @@ class Potential(Solver):
         """The matrix or the rays of the elements, their fields, and the receivers' points; of walks only what is under way."""
         if settings.solution == "walks" and settings.receivers != "camera":
             return receivers.count * 500 + (64 << 20)
-        own = getattr(receivers, "elements", None)
-        count = own.count if own is not None else Elements.planned(world, settings.max_edge, TARGET)
+        count = element_count(world, receivers, settings.max_edge, TARGET)
         system = 0
         if settings.solution == "relaxation":
             system = bytes_needed(2 * count, settings.rays) if settings.factors == "matrix" else 2 * count * settings.rays * 40

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core.adaptive import GROWTH, Subdivision, importance, shoot_emitters
-from ..adjoint_gi.core.answer import ElementAnswer, elements_for
+from ..adjoint_gi.core.adaptive import GROWTH, PER_SIDE, Subdivision, importance, shoot_emitters
+from ..adjoint_gi.core.answer import ElementAnswer, element_count, elements_for
 from ..adjoint_gi.core.detectors import detector
 from ..adjoint_gi.core.element_mesh import element_mesh
 from ..adjoint_gi.core.element_nodes import ElementNodes
@@ -134,8 +134,7 @@ class ProgressiveRadiosity(Solver):
 
     def memory(self, world: World, receivers: Receivers, settings: ProgressiveSettings) -> int:
         """Elements, unshot light by path length, rays under way and receivers; it grows linearly with the elements."""
-        own = getattr(receivers, "elements", None)
-        count = own.count if own is not None else Elements.planned(world, settings.max_edge, target(settings))
+        count = element_count(world, receivers, settings.max_edge, target(settings))
         count *= GROWTH if settings.adaptive else 1
         classes = max(1, settings.max_length) if settings.max_length < NO_LIMIT else max(2, settings.min_length)
         return count * (700 + 2 * 3 * 8 * (6 * classes + 8)) + 600 * LARGEST_BATCH + 100 * receivers.count
@@ -218,7 +217,7 @@ class _Run:
         if s.important:
             yield self._step(0.0, "What matters to the important objects")
             matters = importance(self.base, detector(self.base.world, "objects", s.important))
-            self.rays += 2 * self.base.count * 64
+            self.rays += 2 * self.base.count * PER_SIDE
         division = Subdivision(self.base, self.emitters, s.light_samples, s.contrast, limit, matters)
         for text in division.run(start.first):
             if division.elements is not self.elements:

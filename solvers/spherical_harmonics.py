@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..adjoint_gi.core import bsdf
-from ..adjoint_gi.core.answer import elements_for
+from ..adjoint_gi.core.answer import element_count, elements_for
 from ..adjoint_gi.core.directional_answer import DirectionalAnswer, Light
 from ..adjoint_gi.core.directional_rays import ArrivingLight, DirectionalRays
 from ..adjoint_gi.core.elements import Elements
@@ -110,8 +110,7 @@ class SphericalHarmonics(Solver):
 
     def memory(self, world: World, receivers: Receivers, settings: HarmonicSettings) -> int:
         """Coefficients of element sides by path length, rays under way, the pairs that lobes are projected from, receivers."""
-        own = getattr(receivers, "elements", None)
-        count = own.count if own is not None else Elements.planned(world, settings.max_edge, TARGET)
+        count = element_count(world, receivers, settings.max_edge, TARGET)
         classes = max(1, settings.max_length) if settings.max_length < NO_LIMIT else max(2, settings.min_length)
         size = harmonic_count(settings.order)
         return 2 * count * size * 24 * (3 * classes + 8) + BATCH * 8 * (60 + 4 * size) + (128 << 20) + 700 * count + 1200 * receivers.count

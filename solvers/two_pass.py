@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..adjoint_gi.core import bsdf
-from ..adjoint_gi.core.answer import elements_for
+from ..adjoint_gi.core.answer import element_count, elements_for
 from ..adjoint_gi.core.caustics import Caustics
 from ..adjoint_gi.core.chains import Chains
 from ..adjoint_gi.core.element_rays import ElementRays
@@ -118,8 +118,7 @@ class TwoPass(Solver):
 
     def memory(self, world: World, receivers: Receivers, settings: TwoPassSettings) -> int:
         """Chains of all element sides, irradiance by length where lengths are bounded, receivers and batches under way."""
-        own = getattr(receivers, "elements", None)
-        count = own.count if own is not None else Elements.planned(world, settings.max_edge, TARGET)
+        count = element_count(world, receivers, settings.max_edge, TARGET)
         mirrors = any(x.kind in bsdf.KINDS for m in world.scene.materials for x in m.lobes)
         kept = 2 if mirrors else 1  # chains meet about one diffuse surface; mixed surfaces more
         fields = (settings.max_length if settings.max_length < NO_LIMIT else settings.min_length) + 4

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.scene import Camera, SceneArrays
+from adjgi.adjoint_gi.core.scene import Camera, Color, Light, Lobe, Material, SceneArrays
 
 
 def cube(rho=0.5, emission=0.0, materials=None) -> SceneArrays:
@@ -107,6 +107,16 @@ def snowman_answer(c, rho, emission) -> tuple[float, float]:
     (pa, pb), (ea, eb) = rho, emission
     d = (1 - pa * (1 - c)) * (1 - pb * (1 - c)) - pa * pb * c * c
     return (ea * (1 - pb * (1 - c)) + pa * c * eb) / d, (eb * (1 - pa * (1 - c)) + pb * c * ea) / d
+
+
+def lamp_over_mirror(kind="point", color=(1.0, 2.0, 3.0), **options) -> SceneArrays:
+    """A perfect mirror at z = 0 below a lamp at height 1, and a small ceiling at z = 2: the lamp in the mirror is three times as far."""
+    b = SceneBuilder()
+    mirror = Material("Mirror", (Lobe("glossy", Color.of(1, 1, 1), 0.0),))
+    b.quad("Mirror", (-20, -20, 0), (40, 0, 0), (0, 40, 0), mirror)
+    b.quad("Ceiling", (-0.1, -0.1, 2), (0, 0.2, 0), (0.2, 0, 0), diffuse("Ceiling", 0.5))
+    b.light(Light("Lamp", kind, color, position=(0, 0, 1), **options))
+    return b.build()
 
 
 def cornell(width=64, height=64, boxes=True, light=15.0) -> SceneArrays:

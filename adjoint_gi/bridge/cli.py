@@ -19,10 +19,9 @@ import bpy
 from ... import solvers
 from ..core.errors import AdjointError, WriteError
 from . import cli_bake, cli_compare, cli_demo, cli_methods, cli_open
-from .cli_arguments import make_parser
+from .cli_arguments import FAILED, INTERRUPTED, REFUSED, make_parser
 from .cli_progress import say_notices
 
-DONE, FAILED, REFUSED, INTERRUPTED = 0, 1, 2, 130
 COMMANDS = {
     "bake": cli_bake.bake,
     "check": cli_bake.check,

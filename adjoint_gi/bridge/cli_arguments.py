@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The arguments of the command line, and the bake they ask for."""
+"""The arguments of the command line, the bake they ask for, and the exit codes."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from .request import DOMAINS, RECEIVERS, BakeRequest
 
 DEFAULTS = {f.name: f.default for f in dataclasses.fields(BakeRequest) if f.default is not dataclasses.MISSING}
 MOST_THREADS = 256
+DONE, FAILED, REFUSED, INTERRUPTED = 0, 1, 2, 130
 # One method for each quadrant of the taxonomy: gathering or shooting, deterministic or not.
 DEMO_METHODS = ("path_tracing", "particle_tracing", "matrix_radiosity", "progressive_radiosity")
 

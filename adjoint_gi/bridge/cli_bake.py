@@ -17,12 +17,10 @@ from ..core.resources import peak_memory, size_text
 from ..core.solution import Solution
 from . import files, kept
 from .bake import ABOUT, Bake, preflight
-from .cli_arguments import request_of, use_threads
+from .cli_arguments import DONE, FAILED, INTERRUPTED, request_of, use_threads
 from .cli_open import open_scene
 from .cli_progress import Progress, say_notices, seconds_text
 from .request import BakeRequest
-
-FAILED, INTERRUPTED = 1, 130
 
 
 def bake(options: argparse.Namespace) -> int:
@@ -58,7 +56,7 @@ def bake(options: argparse.Namespace) -> int:
         else:
             say_notices([Notice("Solver", f"failed with {type(failure).__name__}: {failure}", "The partial result was written", "error")])
         return FAILED
-    return INTERRUPTED if solution.partial else 0
+    return INTERRUPTED if solution.partial else DONE
 
 
 def check(options: argparse.Namespace) -> int:

@@ -13,14 +13,12 @@ from ..core.errors import AdjointError, Notice, TargetError
 from ..core.page import best_text, percent
 from ..core.run_comparison import Result
 from . import files
-from .cli_arguments import use_threads
+from .cli_arguments import DONE, FAILED, INTERRUPTED, use_threads
 from .cli_open import open_scene
 from .cli_progress import Progress, say_notices, seconds_text
 from .compare import Compare
 from .compare_arguments import request_of
 from .compare_files import check_files, keep_files, write_files
-
-FAILED, INTERRUPTED = 1, 130
 
 
 def compare(options: argparse.Namespace) -> int:
@@ -60,7 +58,7 @@ def compare(options: argparse.Namespace) -> int:
     if result.partial:
         return INTERRUPTED
     # A method that could not take part is a result; one that crashed is not.
-    return FAILED if any(n.severity == "error" for n in result.refused) else 0
+    return FAILED if any(n.severity == "error" for n in result.refused) else DONE
 
 
 def table(result: Result) -> list[str]:

@@ -21,7 +21,7 @@ from ..core.shading import source_at
 from ..core.world import World
 from . import files
 from .bake import Bake, BakeRequest
-from .cli_arguments import use_threads
+from .cli_arguments import INTERRUPTED, use_threads
 from .cli_bake import require_blend, save_blend, solve, summary, write_report
 from .cli_progress import seconds_text
 from .demo import build_cornell
@@ -67,19 +67,19 @@ def _bake_all(methods: list[str], folder: Path, began: float) -> int:
     for method in methods:
         made = _bake(method, "render", folder)
         if made is None:
-            return 130
+            return INTERRUPTED
         reports.append(made.report())
         opened.append((f"picture by {made.driver.solver.spec.label}", Path(made.files[1])))
 
     # Step 2: a lightmap for all objects by path tracing, and vertex colours by progressive radiosity.
     made = _bake("path_tracing", "texture", folder, resolution=256, atlas=True)
     if made is None:
-        return 130
+        return INTERRUPTED
     reports.append(made.report())
     opened += [("lightmap atlas by Path Tracing", Path(made.files[2])), ("its parts, as layers", Path(made.files[1]))]
     made = _bake("progressive_radiosity", "attribute", folder, quantity="radiosity", attribute=ATTRIBUTE)
     if made is None:
-        return 130
+        return INTERRUPTED
     reports.append(made.report())
     opened.append(("vertex colours, as the camera sees them", attribute_picture(folder)))
 

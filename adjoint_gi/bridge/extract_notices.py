@@ -20,11 +20,11 @@ class Notices:
     def result(self) -> tuple[Notice, ...]:
         """All notices, errors first, in the order in which they were added."""
         rank = {"error": 0, "warning": 1, "info": 2}
-        notices = [Notice(_listed(list(names)), *key, names=tuple(names)) for key, names in self._names.items()]
+        notices = [Notice(listed(list(names)), *key, names=tuple(names)) for key, names in self._names.items()]
         return tuple(sorted(notices, key=lambda n: rank[n.severity]))
 
 
-def _listed(names: list[str]) -> str:
+def listed(names: list[str]) -> str:
     """ "A", "A, B" or "A, B and 40 more"."""
     if len(names) <= NAMES_SHOWN:
         return ", ".join(names)

@@ -69,9 +69,10 @@ def look(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
         for name in request.objects:
             notices += _named(context, name)
         if not any(n.severity == "error" for n in notices):
-            notices += _skipped(context, request)
+            objects, left_out = _targets(context, request)
+            notices += left_out
             check = _texture_target if request.target == "texture" else _attribute_target
-            for obj in target_objects(context, request):
+            for obj in objects:
                 notices += check(obj, request)
     notices += _output(request)
     return ordered(notices)
@@ -79,10 +80,20 @@ def look(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
 
 def target_objects(context: bpy.types.Context, request: BakeRequest) -> list[bpy.types.Object]:
     """The mesh objects that `request` means: those named, or all that have faces, are not hidden in render and can be written to."""
+    return _targets(context, request)[0]
+
+
+def _targets(context: bpy.types.Context, request: BakeRequest) -> tuple[list[bpy.types.Object], list[Notice]]:
+    """The same, and warnings for objects that are left out because nothing can be written to them; errors when there are no others."""
     wanted = dict.fromkeys(request.objects)
     if wanted:
-        return [context.view_layer.objects[name] for name in wanted if name in context.view_layer.objects]
-    return [o for o in _with_faces(context) if unwritable(o, request) is None]
+        return [context.view_layer.objects[name] for name in wanted if name in context.view_layer.objects], []
+    why = [(o, unwritable(o, request)) for o in _with_faces(context)]
+    able = [o for o, error in why if error is None]
+    left_out = [error.notice for _, error in why if error is not None]
+    if able:
+        left_out = [replace(n, reason=f"{n.reason}; it is in the light, but not baked", severity="warning") for n in left_out]
+    return able, left_out
 
 
 def unwritable(obj: bpy.types.Object, request: BakeRequest) -> TargetError | None:
@@ -100,17 +111,6 @@ def _with_faces(context: bpy.types.Context) -> list[bpy.types.Object]:
     objects = [o for o in meshes if o.session_uid in shown and not o.hide_render]
     # In edit mode the evaluated mesh shows no faces here, although the scene has them.
     return [o for o in objects if o.mode == "EDIT" or len(o.evaluated_get(depsgraph).data.polygons)]
-
-
-def _skipped(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
-    """Warnings for objects that are left out because nothing can be written to them; errors when there are no others."""
-    if request.objects:
-        return []
-    objects = _with_faces(context)
-    found = [error.notice for error in (unwritable(o, request) for o in objects) if error is not None]
-    if len(found) == len(objects):
-        return found
-    return [replace(n, reason=f"{n.reason}; it is in the light, but not baked", severity="warning") for n in found]
 
 
 def inspect(world: World, request: BakeRequest) -> list[Notice]:

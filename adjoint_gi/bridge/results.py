@@ -15,6 +15,7 @@ import bpy
 
 from ..core.errors import TargetError
 from . import preview, targets
+from .extract_notices import listed
 from .write_attribute import linked_attribute, result_object
 
 HIDDEN = "adjoint_gi_hidden"  # custom property of an object that was hidden here: where, in favour of which, and what was selected
@@ -95,12 +96,8 @@ def nothing_selected(view_layer: bpy.types.ViewLayer) -> tuple[str, str]:
     if not ours:
         return "is on, but no mesh object is selected", "Select what to bake, or turn it off"
     made_of = [o.name for o in view_layer.objects if result_object(o) in ours]
-    what = f"what they were made of ({_listed(made_of)})" if made_of else "other objects"
-    return f"is on, but only results are selected ({_listed([o.name for o in ours])})", f"Select {what}, or turn it off"
-
-
-def _listed(names: list[str]) -> str:
-    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+    what = f"what they were made of ({listed(made_of)})" if made_of else "other objects"
+    return f"is on, but only results are selected ({listed([o.name for o in ours])})", f"Select {what}, or turn it off"
 
 
 def _hide(obj: bpy.types.Object, seen: bpy.types.Object, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:

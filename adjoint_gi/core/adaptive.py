@@ -18,6 +18,7 @@ from .refinement import RefinedElements, contrast, longest_edge, over_base
 from .schemes import Southwell
 from .transports import RayTransport
 
+PER_SIDE = 64  # rays of each element side for the potential that says what matters
 GROWTH = 16  # there are at most so many times as many elements as before
 
 
@@ -93,12 +94,12 @@ class Subdivision:
         return factor / np.maximum(over_base(self.elements, self.base, factor)[root], 1e-300)
 
 
-def importance(elements: Elements, detect: Detector, per_side: int = 64, reflections: int = 8) -> np.ndarray:
+def importance(elements: Elements, detect: Detector, reflections: int = 8) -> np.ndarray:
     """(count,) float64 how much light on each element matters to receivers: its potential over the mean one, at most 1.
 
     Relaxes W = g + T* W (review, Eq. 2) on a few rays from every element; elements of more than the mean potential count in full.
     """
-    transport = RayTransport.cast(ElementRays(elements), per_side)
+    transport = RayTransport.cast(ElementRays(elements), PER_SIDE)
     term = np.repeat(detect.on_elements(elements)[:, None], 3, axis=1)
     total = term.copy()
     for _ in range(reflections):

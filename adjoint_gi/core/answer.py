@@ -56,6 +56,12 @@ def elements_for(world: World, receivers: Receivers, max_edge: float, target: in
     return own if own is not None else Elements(world, max_edge, target)
 
 
+def element_count(world: World, receivers: Receivers, max_edge: float, target: int) -> int:
+    """How many elements `elements_for` gives, without making them."""
+    own = getattr(receivers, "elements", None)
+    return own.count if own is not None else Elements.planned(world, max_edge, target)
+
+
 class ElementAnswer:
     """Evaluates element solutions at receivers; their points are found once and kept for every later partial result.
 

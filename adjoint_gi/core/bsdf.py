@@ -144,9 +144,7 @@ class BsdfTable:
 
     def coat_at(self, material: np.ndarray, cosine: np.ndarray) -> np.ndarray:
         """(n,) coat albedo at a cosine, linear between entries."""
-        x = np.clip(np.abs(cosine) * MU - np.float32(0.5), 0, MU - 1.001)
-        i = x.astype(np.int32)
-        f = x - i
+        i, f = mf.cosine_entry(cosine, MU)
         return self.coat[material, i] * (1 - f) + self.coat[material, i + 1] * f
 
     def at(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, ns: np.ndarray, side: np.ndarray, wo: np.ndarray) -> Lobes:

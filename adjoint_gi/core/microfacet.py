@@ -17,6 +17,13 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.einsum("ij,ij->i", a, b)
 
 
+def cosine_entry(cosine: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where a cosine lies in a table of `size` entries over 0..1: the entry below it, (n,) int32, and the share of the next one, (n,)."""
+    x = np.clip(np.abs(cosine) * size - np.float32(0.5), 0, np.float32(size - 1.001))
+    low = x.astype(np.int32)
+    return low, x - low
+
+
 def distribution(h: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """D(h), density of microfacet normals per solid angle, (n,)."""
     a2 = alpha * alpha

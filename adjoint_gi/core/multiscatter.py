@@ -40,9 +40,8 @@ def gain(roughness: float, ior: float | None = None) -> Gain:
     kernel = np.zeros((sides, MU, sides, MU))
     for side in range(sides):
         for other, cosine, share in _scattered(roughness, ior, side):
-            x = np.clip(np.abs(cosine) * MU - 0.5, 0, MU - 1.001)
-            low = x.astype(np.int64)
-            for at, part in ((low, low + 1 - x), (low + 1, x - low)):
+            low, beyond = mf.cosine_entry(cosine, MU)
+            for at, part in ((low, 1 - beyond), (low + 1, beyond)):
                 index = np.arange(MU)[:, None] * MU + at
                 found = np.bincount(index.ravel(), (share * part).ravel(), MU * MU)
                 kernel[side, :, other] += found.reshape(MU, MU) / GRID**2
@@ -108,9 +107,7 @@ class Gains:
 
     def at(self, row: np.ndarray, inside: np.ndarray, cosine: np.ndarray) -> np.ndarray:
         """s (n,) float32 at a cosine, linear between entries."""
-        x = np.clip(np.abs(cosine) * MU - np.float32(0.5), 0, np.float32(MU - 1.001))
-        i = x.astype(np.int32)
-        f = x - i
+        i, f = mf.cosine_entry(cosine, MU)
         side = inside.astype(np.int32)
         return self.curve[row, side, i] * (1 - f) + self.curve[row, side, i + 1] * f
 

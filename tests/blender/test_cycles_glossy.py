@@ -30,7 +30,7 @@ import bmesh  # importable only after bpy  # isort: skip
 
 SIZE = 16
 SEEDS = 8
-SAMPLES = 64
+SAMPLES = int(os.environ.get("ADJOINT_GI_GLOSSY_SAMPLES", "64"))  # more of them for smaller errors
 LENGTH = 33  # segments; what is longer carries nothing that could be seen
 GOLD = (0.9, 0.6, 0.3, 1.0)
 GREY = (0.8, 0.8, 0.8, 1.0)

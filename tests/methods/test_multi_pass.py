@@ -13,7 +13,7 @@ from adjgi.adjoint_gi.core.emitters import Emitters
 from adjgi.adjoint_gi.core.errors import SceneError
 from adjgi.adjoint_gi.core.receivers import CameraReceivers
 from adjgi.adjoint_gi.core.registry import Nature, Strategy, method
-from adjgi.adjoint_gi.core.scene import Color, Light, Lobe, Material
+from adjgi.adjoint_gi.core.scene import Color, Lobe, Material
 from adjgi.adjoint_gi.core.schemes import NO_LIMIT
 from adjgi.adjoint_gi.core.world import World
 from adjgi.solvers import load
@@ -134,12 +134,7 @@ def test_it_comes_to_what_path_tracing_finds():
 
 
 def test_caustics_of_a_lamp_without_size_come_from_particles():
-    mirror = Material("Mirror", (Lobe("glossy", Color.of(1, 1, 1), 0.0),))
-    b = SceneBuilder()
-    b.quad("Mirror", (-20, -20, 0), (40, 0, 0), (0, 40, 0), mirror)
-    b.quad("Ceiling", (-0.1, -0.1, 2), (0, 0.2, 0), (0.2, 0, 0), diffuse("Ceiling", 0.5))
-    b.light(Light("Lamp", "point", (1.0, 1.0, 1.0), position=(0, 0, 1)))
-    receivers = ElementReceivers(Elements(World(b.build()), 50.0))
+    receivers = ElementReceivers(Elements(World(scenes.lamp_over_mirror(color=(1.0, 1.0, 1.0))), 50.0))
     ratio = []
     for particles in (2_000_000, 0):
         s = solve(receivers, particles=particles, samples=16, rays=1000)
@@ -152,12 +147,7 @@ def test_caustics_of_a_lamp_without_size_come_from_particles():
 @pytest.mark.parametrize("name", ["multi_pass", "two_pass"])
 def test_caustics_count_by_their_length(name):
     """Light from the lamp over the mirror to the ceiling has flown two segments."""
-    mirror = Material("Mirror", (Lobe("glossy", Color.of(1, 1, 1), 0.0),))
-    b = SceneBuilder()
-    b.quad("Mirror", (-20, -20, 0), (40, 0, 0), (0, 40, 0), mirror)
-    b.quad("Ceiling", (-0.1, -0.1, 2), (0, 0.2, 0), (0.2, 0, 0), diffuse("Ceiling", 0.5))
-    b.light(Light("Lamp", "point", (1.0, 1.0, 1.0), position=(0, 0, 1)))
-    receivers = ElementReceivers(Elements(World(b.build()), 50.0))
+    receivers = ElementReceivers(Elements(World(scenes.lamp_over_mirror(color=(1.0, 1.0, 1.0))), 50.0))
     more = {"gather": True} if name == "two_pass" else {}
     solver = method(name)
     found = {}

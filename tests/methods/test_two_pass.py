@@ -139,25 +139,16 @@ def test_rough_lobes_take_part_in_the_first_pass_or_not():
     assert bare.total[walls].mean() < 0.9 * full.total[walls].mean()
 
 
-def lamp_over_mirror(kind="point", **options):
-    """A mirror at z = 0 below a lamp at height 1, and a ceiling at z = 2."""
-    b = SceneBuilder()
-    b.quad("Mirror", (-20, -20, 0), (40, 0, 0), (0, 40, 0), MIRROR)
-    b.quad("Ceiling", (-0.1, -0.1, 2), (0, 0.2, 0), (0.2, 0, 0), diffuse("Ceiling", 0.5))
-    b.light(Light("Lamp", kind, (1.0, 2.0, 3.0), position=(0, 0, 1), **options))
-    return b.build()
-
-
 def test_light_of_a_point_lamp_over_a_mirror():
     """The mirror shows a second lamp at height -1, at three times the distance of the first from the ceiling."""
-    first = first_pass(lamp_over_mirror(), 100.0, particles=2_000_000, rays=16)
+    first = first_pass(scenes.lamp_over_mirror(), 100.0, particles=2_000_000, rays=16)
     assert first.caustics.unmet.any()
     got = first.caustics.total[2]  # front of the ceiling, which faces down
     assert np.allclose(got, first.caustics.unmet.sum(axis=0)[2])
     straight = first.lamps.irradiance[2]
     assert np.allclose(got / straight, 1 / 9, rtol=0.1)
     assert np.allclose(first.total[2], got + straight, rtol=1e-6)
-    none = first_pass(lamp_over_mirror(), 100.0, particles=0, rays=16)
+    none = first_pass(scenes.lamp_over_mirror(), 100.0, particles=0, rays=16)
     assert not none.caustics.total.any() and np.allclose(none.total[2], straight)
 
 
@@ -202,7 +193,7 @@ def test_a_coat_dims_what_lies_below_it_but_no_light_is_lost():
 
 
 def test_chains_tell_how_far_and_over_what_they_went():
-    world = World(lamp_over_mirror())
+    world = World(scenes.lamp_over_mirror())
     chains = Chains(world, 4)
     n = 100
     origin = np.tile(np.array([[0, 0, 0]], np.float32), (n, 1))
