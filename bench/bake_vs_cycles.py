@@ -32,9 +32,9 @@ if "adjgi" not in sys.modules:
     spec = importlib.util.spec_from_file_location("adjgi", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
     sys.modules["adjgi"] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(sys.modules["adjgi"])
-from adjgi.adjoint_gi.bridge.extract import extract  # noqa: E402
-from adjgi.adjoint_gi.core import lightmap  # noqa: E402
-from adjgi.adjoint_gi.core.world import World  # noqa: E402
+from adjgi.adjoint_gi.bridge.extract.depsgraph import extract  # noqa: E402
+from adjgi.adjoint_gi.core.receivers import texels as lightmap  # noqa: E402
+from adjgi.adjoint_gi.core.scene.world import World  # noqa: E402
 from adjgi.solvers.path_tracing import PathSettings, PathTracing  # noqa: E402
 
 BOUNCES = 4  # path length 5

@@ -21,8 +21,8 @@ if "adjgi" not in sys.modules:
     spec.loader.exec_module(sys.modules["adjgi"])
 
 from adjgi import solvers  # noqa: E402
-from adjgi.adjoint_gi.core.registry import method  # noqa: E402
-from adjgi.adjoint_gi.core.world import World  # noqa: E402
+from adjgi.adjoint_gi.core.method.registry import method  # noqa: E402
+from adjgi.adjoint_gi.core.scene.world import World  # noqa: E402
 from adjgi.tests import cie171  # noqa: E402
 
 PATH_SAMPLES = {"5.2": 16, "5.3": 4096, "5.4": 16, "5.6": 1 << 17, "5.7": 1 << 18}

@@ -21,9 +21,9 @@ if "adjgi" not in sys.modules:
     spec = importlib.util.spec_from_file_location("adjgi", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
     sys.modules["adjgi"] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(sys.modules["adjgi"])
-from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements  # noqa: E402
-from adjgi.adjoint_gi.core.registry import method  # noqa: E402
-from adjgi.adjoint_gi.core.world import World  # noqa: E402
+from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements  # noqa: E402
+from adjgi.adjoint_gi.core.method.registry import method  # noqa: E402
+from adjgi.adjoint_gi.core.scene.world import World  # noqa: E402
 from adjgi.solvers import load  # noqa: E402
 from adjgi.tests import scenes  # noqa: E402
 

@@ -31,9 +31,9 @@ if "adjgi" not in sys.modules:
     spec = importlib.util.spec_from_file_location("adjgi", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
     sys.modules["adjgi"] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(sys.modules["adjgi"])
-from adjgi.adjoint_gi.bridge import demo  # noqa: E402
-from adjgi.adjoint_gi.bridge.cli_open import leave_edit_mode  # noqa: E402
-from adjgi.adjoint_gi.core.png import write_png  # noqa: E402
+from adjgi.adjoint_gi.bridge.cli import cornell as demo  # noqa: E402
+from adjgi.adjoint_gi.bridge.cli.open import leave_edit_mode  # noqa: E402
+from adjgi.adjoint_gi.core.images.png import write_png  # noqa: E402
 from adjgi.tests import baking  # noqa: E402
 
 BOXES = ("Short Box", "Tall Box")

@@ -25,12 +25,12 @@ if "adjgi" not in sys.modules:
     spec.loader.exec_module(sys.modules["adjgi"])
 
 from adjgi import solvers  # noqa: E402
-from adjgi.adjoint_gi.core.builder import diffuse  # noqa: E402
-from adjgi.adjoint_gi.core.png import write_png  # noqa: E402
-from adjgi.adjoint_gi.core.receivers import CameraReceivers  # noqa: E402
-from adjgi.adjoint_gi.core.registry import Solver, methods  # noqa: E402
-from adjgi.adjoint_gi.core.scene import Color, Lobe, Material, SceneArrays  # noqa: E402
-from adjgi.adjoint_gi.core.world import World  # noqa: E402
+from adjgi.adjoint_gi.core.images.png import write_png  # noqa: E402
+from adjgi.adjoint_gi.core.method.registry import Solver, methods  # noqa: E402
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers  # noqa: E402
+from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material, SceneArrays  # noqa: E402
+from adjgi.adjoint_gi.core.scene.builder import diffuse  # noqa: E402
+from adjgi.adjoint_gi.core.scene.world import World  # noqa: E402
 from adjgi.tests import scenes  # noqa: E402
 
 SIZE = 160

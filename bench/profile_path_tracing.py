@@ -23,7 +23,12 @@ if "adjgi" not in sys.modules:
     spec = importlib.util.spec_from_file_location("adjgi", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
     sys.modules["adjgi"] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(sys.modules["adjgi"])
-from adjgi.adjoint_gi.core import direct, emitters, faces, low_discrepancy, paths, receivers, sampling, world  # noqa: E402
+from adjgi.adjoint_gi.core.lights import direct, emitters  # noqa: E402
+from adjgi.adjoint_gi.core.receivers import base as receivers  # noqa: E402
+from adjgi.adjoint_gi.core.sampling import maps as sampling  # noqa: E402
+from adjgi.adjoint_gi.core.sampling import sobol as low_discrepancy  # noqa: E402
+from adjgi.adjoint_gi.core.scene import faces, world  # noqa: E402
+from adjgi.adjoint_gi.core.walks import diffuse_paths as paths  # noqa: E402
 from adjgi.solvers.path_tracing import PathSettings, PathTracing  # noqa: E402
 from adjgi.tests import scenes  # noqa: E402
 

@@ -26,13 +26,13 @@ if "adjgi" not in sys.modules:
     spec = importlib.util.spec_from_file_location("adjgi", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
     sys.modules["adjgi"] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(sys.modules["adjgi"])
-from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements  # noqa: E402
-from adjgi.adjoint_gi.core.errors import AdjointError  # noqa: E402
-from adjgi.adjoint_gi.core.receivers import CameraReceivers, Receivers  # noqa: E402
-from adjgi.adjoint_gi.core.registry import Solver, methods  # noqa: E402
-from adjgi.adjoint_gi.core.scene import Color, Light, Lobe, Material  # noqa: E402
-from adjgi.adjoint_gi.core.settings import Settings  # noqa: E402
-from adjgi.adjoint_gi.core.world import World  # noqa: E402
+from adjgi.adjoint_gi.core.base.errors import AdjointError  # noqa: E402
+from adjgi.adjoint_gi.core.base.settings import Settings  # noqa: E402
+from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements  # noqa: E402
+from adjgi.adjoint_gi.core.method.registry import Solver, methods  # noqa: E402
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, Receivers  # noqa: E402
+from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material  # noqa: E402
+from adjgi.adjoint_gi.core.scene.world import World  # noqa: E402
 from adjgi.bench.profile_path_tracing import floor_texels  # noqa: E402
 from adjgi.solvers import load  # noqa: E402
 from adjgi.tests import scenes  # noqa: E402

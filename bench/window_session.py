@@ -118,7 +118,7 @@ def arrange() -> None:
 
 def session():
     """The states one after the other; yields the seconds to wait."""
-    jobs, check = module("adjoint_gi.bridge.jobs"), module("adjoint_gi.bridge.check")
+    jobs, check = module("adjoint_gi.bridge.baking.jobs"), module("adjoint_gi.bridge.baking.check")
     operator("add_demo_scene")
     yield PAUSE
     arrange()
@@ -130,7 +130,7 @@ def session():
     for obj in scene.objects:
         obj.select_set(obj.type == "MESH")
     yield PAUSE
-    for method in [m.spec.id for m in module("adjoint_gi.core.registry").methods()] if METHODS else []:
+    for method in [m.spec.id for m in module("adjoint_gi.core.method.registry").methods()] if METHODS else []:
         state.method = method
         yield 4 * PAUSE
         save_panel(f"method_{method}")

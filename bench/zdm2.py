@@ -28,7 +28,7 @@ spec = importlib.util.spec_from_file_location("adjgi", root + "/__init__.py", su
 sys.modules["adjgi"] = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(sys.modules["adjgi"])
 """
-CONSOLE = LOAD + "from adjgi.adjoint_gi.bridge.cli import console\nconsole()\n"
+CONSOLE = LOAD + "from adjgi.adjoint_gi.bridge.cli.main import console\nconsole()\n"
 TARGETS = {
     "texture": ["--resolution", "512"],
     "attribute": ["--domain", "CORNER", "--new-object"],  # its modifiers triangulate it
@@ -45,7 +45,7 @@ CAMERA, LOOK_AT, LENS = (22.0, 9.0, 8.0), (0.0, 6.0, 5.0), 22.0
 def light_scene(source: Path, target: Path) -> None:
     """Save `source` with its sun, sky and camera as `target`. Runs in a process of its own."""
     import bpy
-    from adjgi.adjoint_gi.bridge.demo import black_world
+    from adjgi.adjoint_gi.bridge.cli.cornell import black_world
     from mathutils import Vector
 
     bpy.ops.wm.open_mainfile(filepath=str(source), use_scripts=False)

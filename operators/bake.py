@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import bpy
 
-from ..adjoint_gi.bridge import check, compare_job, jobs
-from ..adjoint_gi.bridge.properties import request_of
-from ..adjoint_gi.bridge.records import AdjointError, Notice
+from ..adjoint_gi.bridge.baking import check, jobs
+from ..adjoint_gi.bridge.comparison import job as compare_job
+from ..adjoint_gi.bridge.props.properties import request_of
+from ..adjoint_gi.bridge.props.records import AdjointError, Notice
 
 
 def tell(operator: bpy.types.Operator, notice: Notice) -> None:

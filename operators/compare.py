@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import bpy
 
-from ..adjoint_gi.bridge import compare_job, compare_records, jobs
-from ..adjoint_gi.bridge.records import AdjointError
+from ..adjoint_gi.bridge.baking import jobs
+from ..adjoint_gi.bridge.comparison import job as compare_job
+from ..adjoint_gi.bridge.comparison import records as compare_records
+from ..adjoint_gi.bridge.props.records import AdjointError
 from .bake import tell
 
 

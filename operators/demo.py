@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..adjoint_gi.bridge.records import AdjointError
+from ..adjoint_gi.bridge.props.records import AdjointError
 from .bake import tell
 
 
@@ -18,7 +18,7 @@ class ADJOINTGI_OT_add_demo_scene(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Build it in a scene of its own."""
-        from ..adjoint_gi.bridge import demo
+        from ..adjoint_gi.bridge.cli import cornell as demo
 
         try:
             scene = demo.build_cornell()

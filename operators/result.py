@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import bpy
 
-from ..adjoint_gi.bridge import jobs, records, results
-from ..adjoint_gi.bridge.records import AdjointError
+from ..adjoint_gi.bridge.baking import jobs
+from ..adjoint_gi.bridge.props import records
+from ..adjoint_gi.bridge.props.records import AdjointError
+from ..adjoint_gi.bridge.results import show as results
 from .bake import tell
 
 

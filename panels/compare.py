@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import bpy
 
-from ..adjoint_gi.bridge import compare_job, compare_records, jobs
+from ..adjoint_gi.bridge.baking import jobs
+from ..adjoint_gi.bridge.comparison import job as compare_job
+from ..adjoint_gi.bridge.comparison import records as compare_records
 from . import text
 from .draw import field, notice
 from .view3d import Tab

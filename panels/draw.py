@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import bpy
 
-from ..adjoint_gi.bridge import check, jobs
-from ..adjoint_gi.bridge.properties import MethodSpec, chosen, group_name, method_label, own_and_common, quadrant
-from ..adjoint_gi.bridge.records import Notice
+from ..adjoint_gi.bridge.baking import check, jobs
+from ..adjoint_gi.bridge.props.properties import MethodSpec, chosen, group_name, method_label, own_and_common, quadrant
+from ..adjoint_gi.bridge.props.records import Notice
 from . import text
 
 NARROW = 400  # pixels; a sidebar is less wide

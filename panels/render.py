@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import bpy
 
-from ..adjoint_gi.bridge.engine import ENGINE
-from ..adjoint_gi.bridge.properties import chosen
+from ..adjoint_gi.bridge.engine.render_engine import ENGINE
+from ..adjoint_gi.bridge.props.properties import chosen
 from . import draw
 
 # Stock panels for settings that this engine does not read.

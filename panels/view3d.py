@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..adjoint_gi.bridge.properties import chosen
+from ..adjoint_gi.bridge.props.properties import chosen
 from . import draw
 
 

@@ -20,22 +20,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core import bsdf
-from ..adjoint_gi.core.answer import element_count, elements_for
-from ..adjoint_gi.core.directional_answer import DirectionalAnswer, Light
-from ..adjoint_gi.core.directional_rays import ArrivingLight, DirectionalRays, Sink
-from ..adjoint_gi.core.directional_transport import DirectionalTransport, bytes_needed, pairs_needed
-from ..adjoint_gi.core.directions import Bins
-from ..adjoint_gi.core.emitters import Emitters
-from ..adjoint_gi.core.errors import MemoryRefused, Notice
-from ..adjoint_gi.core.radiosity import RadiositySettings, dark_notices
-from ..adjoint_gi.core.receivers import Receivers
-from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
-from ..adjoint_gi.core.scattering import Scattering
-from ..adjoint_gi.core.schemes import NO_LIMIT
-from ..adjoint_gi.core.settings import setting
-from ..adjoint_gi.core.solution import EnergyBalance, Solution, Step
-from ..adjoint_gi.core.world import World
+from ..adjoint_gi.core.base.errors import MemoryRefused, Notice
+from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.bsdf import table as bsdf
+from ..adjoint_gi.core.directional.answer import DirectionalAnswer, Light
+from ..adjoint_gi.core.directional.bins import Bins
+from ..adjoint_gi.core.directional.rays import ArrivingLight, DirectionalRays, Sink
+from ..adjoint_gi.core.directional.scattering import Scattering
+from ..adjoint_gi.core.directional.transport import DirectionalTransport, bytes_needed, pairs_needed
+from ..adjoint_gi.core.elements.answer import element_count, elements_for
+from ..adjoint_gi.core.lights.emitters import Emitters
+from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method.solution import EnergyBalance, Solution, Step
+from ..adjoint_gi.core.radiosity.schemes import NO_LIMIT
+from ..adjoint_gi.core.radiosity.shared import RadiositySettings, dark_notices
+from ..adjoint_gi.core.receivers.base import Receivers
+from ..adjoint_gi.core.scene.world import World
 
 TARGET = 1000  # elements where max_edge is chosen
 STAGES = (0.2, 0.3, 0.6)  # shares at which receivers, lamps and rays are done; the rest is the system

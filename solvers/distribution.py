@@ -21,18 +21,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core import bsdf, radiance
-from ..adjoint_gi.core import settings as base
-from ..adjoint_gi.core.emitters import Emitters
-from ..adjoint_gi.core.gathering import BATCH, Estimate, Run
-from ..adjoint_gi.core.parallel import thread_count
-from ..adjoint_gi.core.radiance import Gathered, Walk
-from ..adjoint_gi.core.receivers import Points, Receivers
-from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
-from ..adjoint_gi.core.samplers import KINDS, Sampler
-from ..adjoint_gi.core.settings import setting
-from ..adjoint_gi.core.solution import Step
-from ..adjoint_gi.core.world import Surface, World
+from ..adjoint_gi.core.base import settings as base
+from ..adjoint_gi.core.base.parallel import thread_count
+from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.bsdf import table as bsdf
+from ..adjoint_gi.core.lights.emitters import Emitters
+from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method.solution import Step
+from ..adjoint_gi.core.receivers.base import Points, Receivers
+from ..adjoint_gi.core.sampling.sets import KINDS, Sampler
+from ..adjoint_gi.core.scene.world import Surface, World
+from ..adjoint_gi.core.walks import radiance
+from ..adjoint_gi.core.walks.gathering import BATCH, Estimate, Run
+from ..adjoint_gi.core.walks.radiance import Gathered, Walk
 
 PLACE, LENS, FIRST = 0, 1, 2  # streams of the sampler; from FIRST on two for every surface on the way
 NEVER = 1 << 30

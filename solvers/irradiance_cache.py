@@ -18,19 +18,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core import settings as base
-from ..adjoint_gi.core.bsdf import BsdfTable, frame
-from ..adjoint_gi.core.direct import direct_irradiance
-from ..adjoint_gi.core.emitters import Emitters
-from ..adjoint_gi.core.gathering import Run, sliced
-from ..adjoint_gi.core.irradiance_records import RecordIndex, Records, gradients, hemisphere
-from ..adjoint_gi.core.parallel import in_order
-from ..adjoint_gi.core.radiance import Gathered, Walk, gather, lobes_of
-from ..adjoint_gi.core.receivers import Receivers
-from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
-from ..adjoint_gi.core.settings import setting
-from ..adjoint_gi.core.solution import Step
-from ..adjoint_gi.core.world import Surface, World
+from ..adjoint_gi.core.base import settings as base
+from ..adjoint_gi.core.base.parallel import in_order
+from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.bsdf.table import BsdfTable, frame
+from ..adjoint_gi.core.lights.direct import direct_irradiance
+from ..adjoint_gi.core.lights.emitters import Emitters
+from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method.solution import Step
+from ..adjoint_gi.core.receivers.base import Receivers
+from ..adjoint_gi.core.scene.world import Surface, World
+from ..adjoint_gi.core.walks.gathering import Run, sliced
+from ..adjoint_gi.core.walks.irradiance_records import RecordIndex, Records, gradients, hemisphere
+from ..adjoint_gi.core.walks.radiance import Gathered, Walk, gather, lobes_of
 
 BLOCK = 64  # records made together
 ROUND = 512  # records made before the cache is asked again

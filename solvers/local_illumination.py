@@ -21,17 +21,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core import settings as base
-from ..adjoint_gi.core.bsdf import BsdfTable
-from ..adjoint_gi.core.emitters import Emitters
-from ..adjoint_gi.core.gathering import Run
-from ..adjoint_gi.core.light_points import LightPoints, phong_lobe
-from ..adjoint_gi.core.radiance import Gathered
-from ..adjoint_gi.core.receivers import Receivers
-from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
-from ..adjoint_gi.core.settings import setting
-from ..adjoint_gi.core.solution import Step
-from ..adjoint_gi.core.world import Surface, World
+from ..adjoint_gi.core.base import settings as base
+from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.bsdf.table import BsdfTable
+from ..adjoint_gi.core.lights.emitters import Emitters
+from ..adjoint_gi.core.lights.light_points import LightPoints, phong_lobe
+from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method.solution import Step
+from ..adjoint_gi.core.receivers.base import Receivers
+from ..adjoint_gi.core.scene.world import Surface, World
+from ..adjoint_gi.core.walks.gathering import Run
+from ..adjoint_gi.core.walks.radiance import Gathered
 
 MODELS = (
     ("bouknight", "Bouknight 1970", "Diffuse reflection only, Eq. 7"),

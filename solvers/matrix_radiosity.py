@@ -19,20 +19,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core.answer import ElementAnswer, element_count, elements_for
-from ..adjoint_gi.core.elements import Elements
-from ..adjoint_gi.core.emitters import Emitters
-from ..adjoint_gi.core.errors import MemoryRefused, Notice
-from ..adjoint_gi.core.factor_matrix import FactorMatrix, bytes_needed
-from ..adjoint_gi.core.radiosity import LampLight, RadiositySettings, dark_notices, receiver_light
-from ..adjoint_gi.core.receivers import Receivers
-from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
-from ..adjoint_gi.core.schemes import gauss_seidel, jacobi, lengths, trapped
-from ..adjoint_gi.core.settings import setting
-from ..adjoint_gi.core.solution import EnergyBalance, Solution, Step
-from ..adjoint_gi.core.transports import MatrixTransport
-from ..adjoint_gi.core.trapped import refuse
-from ..adjoint_gi.core.world import World
+from ..adjoint_gi.core.base.errors import MemoryRefused, Notice
+from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.elements.answer import ElementAnswer, element_count, elements_for
+from ..adjoint_gi.core.elements.elements import Elements
+from ..adjoint_gi.core.lights.emitters import Emitters
+from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method.solution import EnergyBalance, Solution, Step
+from ..adjoint_gi.core.radiosity.factor_matrix import FactorMatrix, bytes_needed
+from ..adjoint_gi.core.radiosity.schemes import gauss_seidel, jacobi, lengths, trapped
+from ..adjoint_gi.core.radiosity.shared import LampLight, RadiositySettings, dark_notices, receiver_light
+from ..adjoint_gi.core.radiosity.transports import MatrixTransport
+from ..adjoint_gi.core.radiosity.trapped import refuse
+from ..adjoint_gi.core.receivers.base import Receivers
+from ..adjoint_gi.core.scene.world import World
 
 TARGET = 2000  # elements where max_edge is chosen
 # Shares of the whole at which the stages end: receivers, lamps, rows of rays, factors; the rest is the system.

@@ -10,7 +10,7 @@ adds its power to the place's; power over area is irradiance. A surface scatters
 and glass throw on other surfaces (caustics) is found; absorption is the event that ends a walk, and escape the other one.
 
 Between elements the answer is interpolated, so shadows are as sharp as the elements are small; receivers that count for themselves
-see them blurred over a kernel (`core.particle_density`). What is counted is irradiance: a camera sees glossy surfaces as diffuse.
+see them blurred over a kernel (`core.walks.particle_density`). What is counted is irradiance: a camera sees glossy surfaces as diffuse.
 
 S. N. Pattanaik and S. P. Mudur, "Computation of Global Illumination by Monte Carlo Simulation of the Particle Model of Light",
 Eurographics Workshop on Rendering, 1992, 71-83.
@@ -24,20 +24,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core import settings as base
-from ..adjoint_gi.core.answer import elements_for
-from ..adjoint_gi.core.bsdf import ALL_LOBES, KINDS, BsdfTable
-from ..adjoint_gi.core.emission import Emission
-from ..adjoint_gi.core.errors import Notice
-from ..adjoint_gi.core.gathering import Clock
-from ..adjoint_gi.core.parallel import in_order, thread_count
-from ..adjoint_gi.core.particle_score import Batch, ElementScore, ReceiverScore, Tally
-from ..adjoint_gi.core.receivers import Receivers, SurfaceReceivers
-from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
-from ..adjoint_gi.core.settings import setting
-from ..adjoint_gi.core.solution import Solution, Step
-from ..adjoint_gi.core.walks import Hits, walk
-from ..adjoint_gi.core.world import World
+from ..adjoint_gi.core.base import settings as base
+from ..adjoint_gi.core.base.errors import Notice
+from ..adjoint_gi.core.base.parallel import in_order, thread_count
+from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.bsdf.table import ALL_LOBES, KINDS, BsdfTable
+from ..adjoint_gi.core.elements.answer import elements_for
+from ..adjoint_gi.core.flux.tally import Batch, ElementScore, ReceiverScore, Tally
+from ..adjoint_gi.core.lights.emission import Emission
+from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method.solution import Solution, Step
+from ..adjoint_gi.core.receivers.base import Receivers, SurfaceReceivers
+from ..adjoint_gi.core.scene.world import World
+from ..adjoint_gi.core.walks.gathering import Clock
+from ..adjoint_gi.core.walks.particles import Hits, walk
 
 SMALLEST, LARGEST = 1 << 10, 1 << 15  # particles in a batch
 BATCHES = 32  # at least, where batches do not become too small: the standard error is estimated from their differences

@@ -10,7 +10,7 @@ switch, so that its effect can be seen: directions drawn by the BRDF instead of 
 their power (`light_importance`), both joined by weights (`joined`; Veach and Guibas 1995), and even numbers over the first surfaces
 (`stratified`). Paths end at random once they carry little (roulette), which keeps the mean.
 
-Scenes of diffuse surfaces alone take a faster kernel (`core.paths`) than scenes with other lobes (`core.radiance`).
+Scenes of diffuse surfaces alone take a faster kernel (`core.walks.diffuse_paths`) than scenes with other lobes (`core.walks.radiance`).
 
 J. T. Kajiya, "The Rendering Equation", SIGGRAPH 1986, 143-150.
 """
@@ -23,20 +23,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core import radiance
-from ..adjoint_gi.core import settings as base
-from ..adjoint_gi.core.bsdf import ALL_LOBES, BsdfTable
-from ..adjoint_gi.core.emitters import Emitters
-from ..adjoint_gi.core.errors import Notice
-from ..adjoint_gi.core.film import read_surfaces
-from ..adjoint_gi.core.gathering import Run
-from ..adjoint_gi.core.parallel import in_order, thread_count
-from ..adjoint_gi.core.paths import DIMENSIONS, PathTracer, Walk
-from ..adjoint_gi.core.receivers import Receivers
-from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
-from ..adjoint_gi.core.settings import setting
-from ..adjoint_gi.core.solution import Step
-from ..adjoint_gi.core.world import Surface, World
+from ..adjoint_gi.core.base import settings as base
+from ..adjoint_gi.core.base.errors import Notice
+from ..adjoint_gi.core.base.parallel import in_order, thread_count
+from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.bsdf.table import ALL_LOBES, BsdfTable
+from ..adjoint_gi.core.lights.emitters import Emitters
+from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method.solution import Step
+from ..adjoint_gi.core.receivers.base import Receivers
+from ..adjoint_gi.core.receivers.film import read_surfaces
+from ..adjoint_gi.core.scene.world import Surface, World
+from ..adjoint_gi.core.walks import radiance
+from ..adjoint_gi.core.walks.diffuse_paths import DIMENSIONS, PathTracer, Walk
+from ..adjoint_gi.core.walks.gathering import Run
 
 BATCH = 1 << 14  # paths in a batch
 MOST_SAMPLES = 16  # of one receiver in a batch

@@ -9,7 +9,7 @@ with g the function of the receiver set S and y the point that is met. Its mean 
     W(i) = g(i) + sum_j rho_j F_ij W(j),    Phi = pi sum_i Le(i) A(i) W(i)                                          (14)
 
 W(i) is the share of a unit of flux emitted at i that becomes part of Phi, the flux of S. With S the faces of some objects, Phi is what
-leaves them (W, and W has no unit); with S the camera's view, W is in m-2, see `core.detectors`.
+leaves them (W, and W has no unit); with S the camera's view, W is in m-2, see `core.flux.detectors`.
 
 Solved by relaxation - Jacobi, or Southwell's shooting of what is left - of the adjoint system of the transport T = rho F, or by random
 walks: from a receiver point by the cosine, where every visit to S counts what S scatters of the walk's weight; for the camera, which no
@@ -26,28 +26,28 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..adjoint_gi.core import settings as base
-from ..adjoint_gi.core.answer import ElementAnswer, element_count, elements_for
-from ..adjoint_gi.core.bsdf import ALL_LOBES, BsdfTable
-from ..adjoint_gi.core.detectors import Detector, FaceDetector, Flux, detector, flux_by_particles, flux_by_potential
-from ..adjoint_gi.core.element_rays import ElementRays
-from ..adjoint_gi.core.emission import Particles
-from ..adjoint_gi.core.emitters import Emitters
-from ..adjoint_gi.core.errors import MemoryRefused, Notice
-from ..adjoint_gi.core.factor_matrix import FactorMatrix, bytes_needed
-from ..adjoint_gi.core.gathering import Clock, Run
-from ..adjoint_gi.core.mesh_emission import cosine_directions
-from ..adjoint_gi.core.parallel import in_order
-from ..adjoint_gi.core.radiance import Gathered
-from ..adjoint_gi.core.radiosity import LampLight
-from ..adjoint_gi.core.receivers import Places, Receivers
-from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
-from ..adjoint_gi.core.schemes import Southwell
-from ..adjoint_gi.core.settings import setting
-from ..adjoint_gi.core.solution import Solution, Step
-from ..adjoint_gi.core.transports import MatrixTransport, RayTransport, Transport
-from ..adjoint_gi.core.walks import Hits, walk
-from ..adjoint_gi.core.world import Surface, World
+from ..adjoint_gi.core.base import settings as base
+from ..adjoint_gi.core.base.errors import MemoryRefused, Notice
+from ..adjoint_gi.core.base.parallel import in_order
+from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.bsdf.table import ALL_LOBES, BsdfTable
+from ..adjoint_gi.core.elements.answer import ElementAnswer, element_count, elements_for
+from ..adjoint_gi.core.elements.rays import ElementRays
+from ..adjoint_gi.core.flux.detectors import Detector, FaceDetector, Flux, detector, flux_by_particles, flux_by_potential
+from ..adjoint_gi.core.lights.emission import Particles
+from ..adjoint_gi.core.lights.emitters import Emitters
+from ..adjoint_gi.core.lights.mesh_emission import cosine_directions
+from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method.solution import Solution, Step
+from ..adjoint_gi.core.radiosity.factor_matrix import FactorMatrix, bytes_needed
+from ..adjoint_gi.core.radiosity.schemes import Southwell
+from ..adjoint_gi.core.radiosity.shared import LampLight
+from ..adjoint_gi.core.radiosity.transports import MatrixTransport, RayTransport, Transport
+from ..adjoint_gi.core.receivers.base import Places, Receivers
+from ..adjoint_gi.core.scene.world import Surface, World
+from ..adjoint_gi.core.walks.gathering import Clock, Run
+from ..adjoint_gi.core.walks.particles import Hits, walk
+from ..adjoint_gi.core.walks.radiance import Gathered
 
 TARGET = 1500  # elements where max_edge is chosen
 WALKS = 1 << 14  # walks in a batch

@@ -20,31 +20,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core.adaptive import GROWTH, PER_SIDE, Subdivision, importance, shoot_emitters
-from ..adjoint_gi.core.answer import ElementAnswer, element_count, elements_for
-from ..adjoint_gi.core.detectors import detector
-from ..adjoint_gi.core.element_mesh import element_mesh
-from ..adjoint_gi.core.element_nodes import ElementNodes
-from ..adjoint_gi.core.element_rays import ElementRays
-from ..adjoint_gi.core.elements import Elements
-from ..adjoint_gi.core.emitters import Emitters
-from ..adjoint_gi.core.errors import Notice
-from ..adjoint_gi.core.radiosity import LampLight, RadiositySettings, dark_notices, receiver_light
-from ..adjoint_gi.core.receivers import Receivers
-from ..adjoint_gi.core.refinement import RefinedElements, smoothed
-from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
-from ..adjoint_gi.core.schemes import NO_LIMIT, Southwell
-from ..adjoint_gi.core.settings import setting
-from ..adjoint_gi.core.solution import EnergyBalance, Solution, Step
-from ..adjoint_gi.core.transports import FreshRayTransport
-from ..adjoint_gi.core.trapped import Trap
-from ..adjoint_gi.core.world import World
+from ..adjoint_gi.core.base.errors import Notice
+from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.elements.answer import ElementAnswer, element_count, elements_for
+from ..adjoint_gi.core.elements.corners import ElementNodes
+from ..adjoint_gi.core.elements.elements import Elements
+from ..adjoint_gi.core.elements.mesh import element_mesh
+from ..adjoint_gi.core.elements.rays import ElementRays
+from ..adjoint_gi.core.elements.refinement import RefinedElements, smoothed
+from ..adjoint_gi.core.flux.detectors import detector
+from ..adjoint_gi.core.lights.emitters import Emitters
+from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method.solution import Solution, Step
+from ..adjoint_gi.core.radiosity.importance import GROWTH, PER_SIDE, Subdivision, importance, shoot_emitters
+from ..adjoint_gi.core.radiosity.schemes import BATCH, FEWEST, LARGEST_BATCH, MOST, NO_LIMIT, Southwell, balance, group
+from ..adjoint_gi.core.radiosity.shared import LampLight, RadiositySettings, dark_notices, receiver_light
+from ..adjoint_gi.core.radiosity.transports import FreshRayTransport
+from ..adjoint_gi.core.radiosity.trapped import Trap
+from ..adjoint_gi.core.receivers.base import Receivers
+from ..adjoint_gi.core.scene.world import World
 
 TARGET = 8000  # elements where max_edge is chosen
-BATCH = 1 << 16  # rays of the sides that shoot together, at least; more where there are more sides, as each group costs a look at all
-LARGEST_BATCH = 1 << 18
-FEWEST, MOST = 8, 1 << 17  # rays of one shot
-AT_ONCE = 1 << 14  # sides that shoot together at most
 
 
 @dataclass(frozen=True)
@@ -190,7 +186,7 @@ class _Run:
         left = float(self.state.unshot_flux().sum())
         trap = Trap(self.state)
         while left > s.tolerance * self.state.total and self.state.shots < s.max_shots:
-            index, rays = group(self.state, s)
+            index, rays = group(self.state, s.rays, s.max_shots)
             if not len(index):
                 break
             self.state.shoot(index, rays)
@@ -283,21 +279,3 @@ def wire(elements: Elements, irradiance: np.ndarray) -> dict[str, np.ndarray]:
     """The mesh of the elements for `Solution.extra`, with irradiance at its corners; names as in `ElementMesh`."""
     mesh = element_mesh(elements, irradiance)
     return {f"mesh_{name}": getattr(mesh, name) for name in ("vertices", "corners", "start", "triangle", "values")}
-
-
-def group(state: Southwell, settings: ProgressiveSettings, least: int = BATCH) -> tuple[np.ndarray, np.ndarray]:
-    """The sides that shoot next and the rays of each: in the order of their unshot flux, as many as fit into one batch of rays.
-
-    A batch holds `least` rays, or more where there are more sides.
-    """
-    many = min(AT_ONCE, settings.max_shots - state.shots)
-    index, flux = state.largest(many)
-    rays = np.clip(np.ceil(settings.rays * flux / max(state.total, 1e-300)), FEWEST, MOST).astype(np.int64)
-    batch = int(np.clip(len(state.direct) // 2, least, LARGEST_BATCH))
-    fits = max(1, int(np.searchsorted(np.cumsum(rays), batch, side="right")))
-    return index[:fits], rays[:fits]
-
-
-def balance(state: Southwell) -> EnergyBalance:
-    """Flux summed over the channels; light cut off by the path length counts as unshot."""
-    return EnergyBalance(state.total, float(state.absorbed.sum()), float(state.escaped.sum()), float(state.remaining().sum()))

@@ -22,27 +22,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core import bsdf
-from ..adjoint_gi.core.answer import element_count, elements_for
-from ..adjoint_gi.core.caustics import Caustics
-from ..adjoint_gi.core.chains import Chains
-from ..adjoint_gi.core.element_rays import ElementRays
-from ..adjoint_gi.core.elements import Elements
-from ..adjoint_gi.core.emitters import Emitters
-from ..adjoint_gi.core.errors import Notice
-from ..adjoint_gi.core.extended import ExtendedTransport
-from ..adjoint_gi.core.gathering import BATCH, Run
-from ..adjoint_gi.core.known_light import KnownLight, lengths_of
-from ..adjoint_gi.core.parallel import thread_count
-from ..adjoint_gi.core.radiance import Walk
-from ..adjoint_gi.core.radiosity import LampLight, RadiositySettings, dark_notices
-from ..adjoint_gi.core.receivers import Receivers
-from ..adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy, register
-from ..adjoint_gi.core.schemes import NO_LIMIT, jacobi
-from ..adjoint_gi.core.settings import setting
-from ..adjoint_gi.core.solution import Step
-from ..adjoint_gi.core.view_pass import View, estimator
-from ..adjoint_gi.core.world import World
+from ..adjoint_gi.core.base.errors import Notice
+from ..adjoint_gi.core.base.parallel import thread_count
+from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.bsdf import table as bsdf
+from ..adjoint_gi.core.elements.answer import element_count, elements_for
+from ..adjoint_gi.core.elements.elements import Elements
+from ..adjoint_gi.core.elements.rays import ElementRays
+from ..adjoint_gi.core.lights.emitters import Emitters
+from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method.solution import Step
+from ..adjoint_gi.core.radiosity.schemes import NO_LIMIT, jacobi
+from ..adjoint_gi.core.radiosity.shared import LampLight, RadiositySettings, dark_notices
+from ..adjoint_gi.core.receivers.base import Receivers
+from ..adjoint_gi.core.scene.world import World
+from ..adjoint_gi.core.two_pass.caustics import Caustics
+from ..adjoint_gi.core.two_pass.extended_factors import ExtendedTransport
+from ..adjoint_gi.core.two_pass.known_light import KnownLight, lengths_of
+from ..adjoint_gi.core.two_pass.view_pass import View, estimator
+from ..adjoint_gi.core.walks.gathering import BATCH, Run
+from ..adjoint_gi.core.walks.mirror_chains import Chains
+from ..adjoint_gi.core.walks.radiance import Walk
 
 TARGET = 3000  # elements where max_edge is chosen
 FIRST = 0.4  # share of the progress that the first pass takes

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
-from adjgi.adjoint_gi.bridge.bake import ABOUT, Bake, BakeRequest
-from adjgi.adjoint_gi.bridge.lightmap_uv import STORED
-from adjgi.adjoint_gi.bridge.targets import RESULTS, link
-from adjgi.adjoint_gi.bridge.write_image import linked_image, read_pixels
-from adjgi.adjoint_gi.core import registry
-from adjgi.adjoint_gi.core.errors import AdjointError
-from adjgi.adjoint_gi.core.lightmap import Lightmap
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.bridge.baking.bake import ABOUT, Bake, BakeRequest
+from adjgi.adjoint_gi.bridge.results.image import linked_image, read_pixels
+from adjgi.adjoint_gi.bridge.results.lightmap_uv import STORED
+from adjgi.adjoint_gi.bridge.results.links import RESULTS, link
+from adjgi.adjoint_gi.core.base.errors import AdjointError
+from adjgi.adjoint_gi.core.method import registry
+from adjgi.adjoint_gi.core.receivers.texels import Lightmap
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import load
 
 __all__ = ["AdjointError"]  # for tests

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
-from adjgi.adjoint_gi.core.registry import method
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import load
 
 load()

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from adjgi.adjoint_gi.core.receivers import SurfaceReceivers
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.receivers.base import SurfaceReceivers
+from adjgi.adjoint_gi.core.scene.world import World
 
 
 def receivers_at(world: World, points, normal=(0, 0, 1), copies=1) -> SurfaceReceivers:

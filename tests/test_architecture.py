@@ -32,6 +32,12 @@ RULES = {
     "operators": (BLENDER, {"operators", "adjoint_gi/bridge", ""}),
     "panels": (BLENDER, {"panels", "adjoint_gi/bridge", ""}),
 }
+# The folders of each side in the one-way order: a file may import from its own folder and from those before it.
+ORDER = {
+    "adjoint_gi/core": "base images sampling scene bsdf lights receivers method walks elements flux "
+    "radiosity two_pass directional comparison",
+    "adjoint_gi/bridge": "host results extract props engine baking comparison cli",
+}
 PARTS = sorted([*RULES, "adjoint_gi", ""], key=len, reverse=True)
 
 
@@ -62,6 +68,25 @@ def wrong_imports(source: str, path: str) -> list[str]:
         allowed = part_of(name) in ours if relative else name.split(".")[0] in libraries | sys.stdlib_module_names
         if not allowed:
             found.append(f"imports {name}")
+    return found
+
+
+def against_order(source: str, path: str) -> list[str]:
+    """Imports from a folder that stands later in `ORDER`, or of a method by another; also inside functions."""
+    part = part_of(path)
+    names = [name for name, relative in imports(ast.parse(source), path) if relative]
+    if part == "solvers":
+        return [f"imports the method {name}" for name in names if name.startswith("solvers/") and path != "solvers/__init__.py"]
+    order = ORDER.get(part, "").split()
+    if not order or path == f"{part}/__init__.py":
+        return []
+    rank = {f"{part}/{folder}": i for i, folder in enumerate(order)}
+    own = rank.get(path.rsplit("/", 1)[0], -1)
+    found = [] if own >= 0 else ["lies in no folder of ORDER"]
+    for name in names:
+        folder = "/".join(name.split("/")[:3])
+        if rank.get(folder, -1) > own:
+            found.append(f"imports {name}, which comes later")
     return found
 
 
@@ -115,7 +140,7 @@ def prints(source: str, path: str) -> list[str]:
 
 def version_checks(source: str, path: str) -> list[str]:
     """Comparisons of Blender's version outside the one file that is for them."""
-    if path == "adjoint_gi/bridge/versions.py":
+    if path == "adjoint_gi/bridge/host/versions.py":
         return []
     nodes = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Attribute))
     return [f"reads {text} in line {node.lineno}" for node in nodes if (text := ast.unparse(node)) in ("bpy.app.version", "app.version")]
@@ -123,7 +148,7 @@ def version_checks(source: str, path: str) -> list[str]:
 
 def overrides(source: str, path: str) -> list[str]:
     """`temp_override` outside the two files where no thread can be at work: with one it crashes Blender (docs/architecture.md)."""
-    if path in ("adjoint_gi/bridge/cli_demo.py", "adjoint_gi/bridge/cycles_reference.py"):
+    if path in ("adjoint_gi/bridge/cli/demo.py", "adjoint_gi/bridge/comparison/cycles_reference.py"):
         return []
     nodes = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Attribute))
     return [f"uses it in line {node.lineno}" for node in nodes if node.attr == "temp_override"]
@@ -187,6 +212,7 @@ TEXT = [path for path in FILES if path.endswith((".py", ".md", ".toml", ".txt", 
 
 CHECKS = [
     (wrong_imports, PRODUCT),
+    (against_order, PRODUCT),
     (own_names, PRODUCT),
     (network, PRODUCT),
     (unsafe, PYTHON),
@@ -217,6 +243,11 @@ BREACHES = [
     (wrong_imports, "solvers/x.py", "import scipy.sparse"),
     (wrong_imports, "operators/x.py", "from ..solvers import load"),
     (wrong_imports, "panels/x.py", "import numpy as np"),
+    (against_order, "adjoint_gi/core/scene/x.py", "from ..lights import direct"),
+    (against_order, "adjoint_gi/core/scene/x.py", "def f():\n    from ..lights.direct import from_hits"),
+    (against_order, "adjoint_gi/core/x.py", "import numpy"),
+    (against_order, "adjoint_gi/bridge/host/x.py", "from ..cli import main"),
+    (against_order, "solvers/x.py", "from .path_tracing import PathSettings"),
     (own_names, "solvers/x.py", "from adjoint_gi.core import scene"),
     (own_names, "operators/x.py", "import bl_ext.user_default.adjoint_gi"),
     (network, "adjoint_gi/bridge/x.py", "from urllib.request import urlopen"),
@@ -246,10 +277,19 @@ def test_rule_finds_a_breach(rule, path, source):
 
 
 def test_right_code_passes_every_rule():
-    source = (
-        '"""Doc."""\nimport numpy as np\nfrom ..adjoint_gi.core import scene\nfrom .helper import f\nx = np.load(p, allow_pickle=False)\n'
-    )
+    source = '"""Doc."""\nimport numpy as np\nfrom ..adjoint_gi.core import scene\nx = np.load(p, allow_pickle=False)\n'
     assert [breach for rule, _ in CHECKS for breach in rule(source, "solvers/x.py")] == []
+
+
+@pytest.mark.parametrize(("part", "order"), ORDER.items())
+def test_order_names_every_folder(part, order):
+    """Each folder has its place in `ORDER`, a head note, and nothing but that in its `__init__.py`."""
+    folders = {path.split("/")[2] for path in PRODUCT if path.startswith(part + "/") and path.count("/") > 2}
+    assert sorted(order.split()) == sorted(folders)
+    for folder in folders:
+        assert f'"adjgi.{part.replace("/", ".")}.{folder}"' in read("pyproject.toml"), f"pyproject.toml does not install {folder}"
+        body = ast.parse(read(f"{part}/{folder}/__init__.py")).body
+        assert len(body) == 1 and ast.get_docstring(ast.parse(read(f"{part}/{folder}/__init__.py")))
 
 
 def test_root_does_nothing_at_import_time():
@@ -270,7 +310,7 @@ def test_method_modules_are_listed_once():
 def test_registry_agrees_with_the_files():
     """Every module registers the method of its own name, in the order of the tuple, with a number of its own."""
     from adjgi import solvers
-    from adjgi.adjoint_gi.core import registry
+    from adjgi.adjoint_gi.core.method import registry
 
     solvers.load()
     specs = [(method.spec, type(method).__module__.rsplit(".", 1)[-1]) for method in registry.methods()]

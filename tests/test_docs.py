@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import fnmatch
+import ast
 import importlib.util
 import json
 import re
@@ -12,14 +12,14 @@ from pathlib import Path
 
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.core import registry
+from adjgi.adjoint_gi.core.method import registry
+from adjgi.tests.test_architecture import ORDER
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [p.relative_to(ROOT).as_posix() for p in (ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md")))]
 LARGEST = 200_000  # bytes of a picture
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 ENTRIES = ("adjoint-gi ", "blender -b ")
-TABLES = {"adjoint_gi/core": "core", "adjoint_gi/bridge": "bridge", "solvers": "solvers"}
 BAKE_ONLY = {"--report", "--save-blend", "--overwrite"}
 
 
@@ -62,7 +62,7 @@ def commands(page: str) -> list[str]:
 
 def parser(in_blender: bool):
     pytest.importorskip("bpy", reason="the command line needs bpy")
-    from adjgi.adjoint_gi.bridge.cli_arguments import make_parser
+    from adjgi.adjoint_gi.bridge.cli.arguments import make_parser
 
     solvers.load()
     return make_parser(in_blender)
@@ -73,7 +73,8 @@ def parse(command: str):
     in_blender = command.startswith("blender")
     _, _, rest = command.partition("--command adjoint_gi " if in_blender else "adjoint-gi ")
     options = parser(in_blender).parse_args(shlex.split(rest))
-    from adjgi.adjoint_gi.bridge import cli_arguments, compare_arguments
+    from adjgi.adjoint_gi.bridge.cli import arguments as cli_arguments
+    from adjgi.adjoint_gi.bridge.comparison import arguments as compare_arguments
 
     if options.command in ("bake", "check"):
         cli_arguments.request_of(options).require()
@@ -192,19 +193,19 @@ def test_readme_counts_the_methods():
     assert f"- {len(registry.methods())} methods." in read("CHANGELOG.md")
 
 
-@pytest.mark.parametrize(("folder", "word"), TABLES.items())
-def test_architecture_names_every_file(folder, word):
-    """Each file has one place in the tables, and the tables name no file that is not there."""
-    text = read("docs/architecture.md")
-    heading = next(h for h in re.findall(r"^## (.+)$", text, re.M) if f"`{folder}/`" in h)
-    named = re.findall(r"`([\w*]+\.py)`", "\n".join(x for x in section(text, heading, "## ").splitlines() if x.startswith("|")))
-    files = sorted(p.name for p in (ROOT / folder).glob("*.py") if p.name != "__init__.py")
-    exact = {n for n in named if "*" not in n}
-    globs = [n for n in named if "*" in n]
-    assert [f for f in files if f not in exact and not any(fnmatch.fnmatch(f, g) for g in globs)] == []
-    assert sorted(exact - set(files)) == []
-    assert [g for g in globs if not fnmatch.filter(files, g)] == []
-    assert len(named) == len(set(named)), f"a file of the {word} stands twice"
+@pytest.mark.parametrize("part", ORDER)
+def test_architecture_names_every_folder(part):
+    """One row a folder, in the one-way order, saying what the folder's own head note says."""
+    rows = re.findall(r"^\| `(\w+)/` \| (.+) \|$", section(read("docs/architecture.md"), f"`{part}/`", "## "), re.M)
+    notes = {f: ast.get_docstring(ast.parse(read(f"{part}/{f}/__init__.py"))) for f in ORDER[part].split()}
+    assert dict(rows) == notes
+    assert [folder for folder, _ in rows] == ORDER[part].split()
+
+
+def test_architecture_names_every_method():
+    """One row a file of solvers/, in the order of the menus."""
+    rows = re.findall(r"^\| `(\w+)\.py` \|", section(read("docs/architecture.md"), "`solvers/`", "## "), re.M)
+    assert rows == list(solvers.MODULES)
 
 
 def test_data_of_benchmarks_is_linked():

@@ -8,11 +8,11 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from adjgi.adjoint_gi.core import registry
-from adjgi.adjoint_gi.core.errors import Notice, SceneError
-from adjgi.adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy
-from adjgi.adjoint_gi.core.settings import Settings, setting
-from adjgi.adjoint_gi.core.solution import EnergyBalance, Solution, Step
+from adjgi.adjoint_gi.core.base.errors import Notice, SceneError
+from adjgi.adjoint_gi.core.base.settings import Settings, setting
+from adjgi.adjoint_gi.core.method import registry
+from adjgi.adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy
+from adjgi.adjoint_gi.core.method.solution import EnergyBalance, Solution, Step
 
 WORDS = (("fine", "Fine", "All goes well."), ("fails", "Fails", "It raises in the middle."))
 
@@ -108,7 +108,7 @@ QUICK = {"samples": 4, "particles": 20_000, "max_edge": 0.25, "rays": 1024, "tol
 
 def quick(scene, method):
     """Choose `method` with settings that end in a second on a Cornell box; returns the root properties."""
-    from adjgi.adjoint_gi.bridge import properties
+    from adjgi.adjoint_gi.bridge.props import properties
 
     state = scene.adjoint_gi
     state.method = method

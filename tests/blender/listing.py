@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 import pytest
-from adjgi.adjoint_gi.bridge.extract import extract
+from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 
 
 class Listing(bpy.types.RenderEngine):

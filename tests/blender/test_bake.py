@@ -11,15 +11,16 @@ import bpy
 import numpy as np
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.bridge import bake as module
-from adjgi.adjoint_gi.bridge import demo, targets
-from adjgi.adjoint_gi.bridge.bake import ABOUT, Bake, BakeRequest
-from adjgi.adjoint_gi.bridge.cli_arguments import DEMO_METHODS
-from adjgi.adjoint_gi.bridge.write_attribute import linked_attribute
-from adjgi.adjoint_gi.bridge.write_image import linked_image, read_pixels
-from adjgi.adjoint_gi.core import registry
-from adjgi.adjoint_gi.core.errors import AdjointError, TargetError
-from adjgi.adjoint_gi.core.exr import read_exr
+from adjgi.adjoint_gi.bridge.baking import bake as module
+from adjgi.adjoint_gi.bridge.baking.bake import ABOUT, Bake, BakeRequest
+from adjgi.adjoint_gi.bridge.cli import cornell as demo
+from adjgi.adjoint_gi.bridge.cli.arguments import DEMO_METHODS
+from adjgi.adjoint_gi.bridge.results import links as targets
+from adjgi.adjoint_gi.bridge.results.attribute import linked_attribute
+from adjgi.adjoint_gi.bridge.results.image import linked_image, read_pixels
+from adjgi.adjoint_gi.core.base.errors import AdjointError, TargetError
+from adjgi.adjoint_gi.core.images.exr import read_exr
+from adjgi.adjoint_gi.core.method import registry
 
 solvers.load()
 RADIOSITY = 1.0  # emitted by every wall of the furnace

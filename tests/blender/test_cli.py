@@ -17,11 +17,16 @@ import bpy
 import numpy as np
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.bridge import cli, cli_demo, cli_open, cli_progress, demo, kept
-from adjgi.adjoint_gi.bridge.cli_arguments import DEMO_METHODS
-from adjgi.adjoint_gi.core import registry
-from adjgi.adjoint_gi.core.errors import TargetError, WriteError
-from adjgi.adjoint_gi.core.exr import read_exr
+from adjgi.adjoint_gi.bridge.cli import cornell as demo
+from adjgi.adjoint_gi.bridge.cli import demo as cli_demo
+from adjgi.adjoint_gi.bridge.cli import main as cli
+from adjgi.adjoint_gi.bridge.cli import open as cli_open
+from adjgi.adjoint_gi.bridge.cli import progress as cli_progress
+from adjgi.adjoint_gi.bridge.cli.arguments import DEMO_METHODS
+from adjgi.adjoint_gi.bridge.results import kept
+from adjgi.adjoint_gi.core.base.errors import TargetError, WriteError
+from adjgi.adjoint_gi.core.images.exr import read_exr
+from adjgi.adjoint_gi.core.method import registry
 
 solvers.load()
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,7 +35,7 @@ import importlib.util, sys
 spec = importlib.util.spec_from_file_location("adjgi", sys.argv.pop(1) + "/__init__.py", submodule_search_locations=[sys.argv.pop(1)])
 sys.modules["adjgi"] = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(sys.modules["adjgi"])
-from adjgi.adjoint_gi.bridge.cli import console
+from adjgi.adjoint_gi.bridge.cli.main import console
 console()
 """
 IS_WHEEL = not bpy.app.binary_path
@@ -266,7 +271,7 @@ SMALL = ("--resolution", 8, "--set", "samples=1", "--objects", "Floor", "Back Wa
 def test_files_that_are_not_ours_are_found_before_the_bake(tmp_path, monkeypatch, arguments):
     box()
     assert command("bake", *SMALL, *arguments, "--output", tmp_path)[0] == 0
-    monkeypatch.setattr("adjgi.adjoint_gi.bridge.cli_bake.solve", None)
+    monkeypatch.setattr("adjgi.adjoint_gi.bridge.cli.bake.solve", None)
     layers = [(o.name, len(o.data.uv_layers)) for o in bpy.data.objects if o.type == "MESH"]
     for file in sorted(tmp_path.iterdir()):
         ours = file.read_bytes()
@@ -287,7 +292,7 @@ def test_failed_write_is_exit_code_1_and_keeps_the_result(tmp_path, monkeypatch,
     def fail(*_, **__):
         raise error
 
-    monkeypatch.setattr("adjgi.adjoint_gi.bridge.bake.write_exr", fail)
+    monkeypatch.setattr("adjgi.adjoint_gi.bridge.baking.bake.write_exr", fail)
     monkeypatch.setattr(kept, "folder", lambda: tmp_path)
     code, out, err = command("bake", *SMALL, "--output", tmp_path / "out")
     assert code == 1 and f"error: {error.notice}" in err and "wrote" not in out

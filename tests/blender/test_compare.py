@@ -15,11 +15,18 @@ import bpy
 import numpy as np
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.bridge import cli, cli_compare, compare, compare_job, compare_records, demo, jobs, kept
-from adjgi.adjoint_gi.bridge.compare import Compare, CompareRequest, ReferenceChoice
-from adjgi.adjoint_gi.core import registry
-from adjgi.adjoint_gi.core.comparison import Budget
-from adjgi.adjoint_gi.core.errors import AdjointError, Notice, SettingsError
+from adjgi.adjoint_gi.bridge.baking import jobs
+from adjgi.adjoint_gi.bridge.cli import compare as cli_compare
+from adjgi.adjoint_gi.bridge.cli import cornell as demo
+from adjgi.adjoint_gi.bridge.cli import main as cli
+from adjgi.adjoint_gi.bridge.comparison import job as compare_job
+from adjgi.adjoint_gi.bridge.comparison import records as compare_records
+from adjgi.adjoint_gi.bridge.comparison import request as compare
+from adjgi.adjoint_gi.bridge.comparison.request import Compare, CompareRequest, ReferenceChoice
+from adjgi.adjoint_gi.bridge.results import kept
+from adjgi.adjoint_gi.core.base.errors import AdjointError, Notice, SettingsError
+from adjgi.adjoint_gi.core.comparison.budget import Budget
+from adjgi.adjoint_gi.core.method import registry
 from adjgi.panels import compare as panel
 from adjgi.tests import baking
 from adjgi.tests.blender import test_panel

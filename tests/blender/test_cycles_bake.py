@@ -18,7 +18,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge import demo
+from adjgi.adjoint_gi.bridge.cli import cornell as demo
 from adjgi.tests import baking
 from adjgi.tests.cycles_patch import add_light, diffuse_material, shader_material, white_plane
 

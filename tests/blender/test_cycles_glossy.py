@@ -17,11 +17,11 @@ import zlib
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge import demo
-from adjgi.adjoint_gi.bridge.extract import extract
-from adjgi.adjoint_gi.core.receivers import CameraReceivers
-from adjgi.adjoint_gi.core.registry import method
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.bridge.cli import cornell as demo
+from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
+from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import path_tracing  # noqa: F401
 from adjgi.tests import baking
 from adjgi.tests.cycles_patch import add_light, empty_material, shader_material, white_plane

@@ -9,10 +9,10 @@ import tempfile
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge.extract import extract
-from adjgi.adjoint_gi.core.receivers import CameraReceivers
-from adjgi.adjoint_gi.core.registry import method
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
+from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import distribution  # noqa: F401
 from adjgi.tests.cycles_patch import shader_material, white_plane
 

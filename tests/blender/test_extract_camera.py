@@ -8,7 +8,7 @@ import itertools
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge.extract import extract
+from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 

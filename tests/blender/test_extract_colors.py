@@ -6,8 +6,8 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge.extract import extract
-from adjgi.adjoint_gi.core.shading import evaluate
+from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
+from adjgi.adjoint_gi.core.scene.shading import evaluate
 from adjgi.tests.cycles_patch import empty_material, render_patch, white_plane
 
 PIXELS = 16

@@ -10,8 +10,8 @@ import zlib
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge.extract import extract
-from adjgi.adjoint_gi.bridge.image_header import sequence_file
+from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
+from adjgi.adjoint_gi.bridge.extract.image_header import sequence_file
 from adjgi.tests.cycles_patch import render_patch, shader_material, white_plane
 
 

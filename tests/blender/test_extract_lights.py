@@ -8,7 +8,7 @@ import math
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge.extract import extract
+from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from adjgi.tests.cycles_patch import add_light, measured_irradiance, white_plane
 
 

@@ -9,9 +9,9 @@ import zlib
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge import extract_images
-from adjgi.adjoint_gi.bridge.extract import extract
-from adjgi.adjoint_gi.bridge.image_header import size_of_bytes
+from adjgi.adjoint_gi.bridge.extract import images as extract_images
+from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
+from adjgi.adjoint_gi.bridge.extract.image_header import size_of_bytes
 from adjgi.tests.cycles_patch import add_light, diffuse_material, empty_material, render_patch, shader_material, white_plane
 
 

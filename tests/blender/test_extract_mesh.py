@@ -10,7 +10,7 @@ import bpy  # isort: split
 import bmesh  # importable only after bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge.extract import extract
+from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from adjgi.tests.cycles_patch import diffuse_material
 from mathutils import Matrix
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge.extract import extract
+from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from adjgi.tests.cycles_patch import add_light, diffuse_material, render_patch, shader_material, white_plane
 
 

@@ -12,13 +12,13 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge import jobs
-from adjgi.adjoint_gi.bridge.request import BakeRequest
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.driver import Driver
-from adjgi.adjoint_gi.core.errors import AdjointError, TargetError, WriteError
-from adjgi.adjoint_gi.core.receivers import SurfaceReceivers
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.bridge.baking import jobs
+from adjgi.adjoint_gi.bridge.props.request import BakeRequest
+from adjgi.adjoint_gi.core.base.errors import AdjointError, TargetError, WriteError
+from adjgi.adjoint_gi.core.method.driver import Driver
+from adjgi.adjoint_gi.core.receivers.base import SurfaceReceivers
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests.blender.fakes import Fake, FakeSettings, fake_method, square
 
 LIMIT = 20.0  # seconds that any wait in these tests may take

@@ -7,8 +7,10 @@ import bpy
 import numpy as np
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.bridge import check, jobs, properties, targets
-from adjgi.adjoint_gi.core import registry
+from adjgi.adjoint_gi.bridge.baking import check, jobs
+from adjgi.adjoint_gi.bridge.props import properties
+from adjgi.adjoint_gi.bridge.results import links as targets
+from adjgi.adjoint_gi.core.method import registry
 from adjgi.tests.blender.fakes import fake_method, quick, square
 
 solvers.load()

@@ -5,9 +5,10 @@ import types
 
 import bpy
 import pytest
-from adjgi.adjoint_gi.bridge import check, jobs, properties, records
-from adjgi.adjoint_gi.core import registry
-from adjgi.adjoint_gi.core.errors import Notice
+from adjgi.adjoint_gi.bridge.baking import check, jobs
+from adjgi.adjoint_gi.bridge.props import properties, records
+from adjgi.adjoint_gi.core.base.errors import Notice
+from adjgi.adjoint_gi.core.method import registry
 from adjgi.panels import draw, text, view3d
 from adjgi.tests.blender.fakes import Fake, FakeSettings, fake_method, square
 from adjgi.tests.blender.test_jobs import FakeBake

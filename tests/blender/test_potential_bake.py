@@ -6,11 +6,11 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge.extract import extract
-from adjgi.adjoint_gi.bridge.request import BakeRequest, fitting_quantity
-from adjgi.adjoint_gi.core import registry
-from adjgi.adjoint_gi.core.detectors import detector
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
+from adjgi.adjoint_gi.bridge.props.request import BakeRequest, fitting_quantity
+from adjgi.adjoint_gi.core.flux.detectors import detector
+from adjgi.adjoint_gi.core.method import registry
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import load
 
 load()

@@ -9,11 +9,11 @@ import os
 import bpy
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.bridge import demo
-from adjgi.adjoint_gi.bridge import preflight as module
-from adjgi.adjoint_gi.bridge.bake import Bake, BakeRequest, preflight, run
-from adjgi.adjoint_gi.core import registry
-from adjgi.adjoint_gi.core.errors import AdjointError
+from adjgi.adjoint_gi.bridge.baking import preflight as module
+from adjgi.adjoint_gi.bridge.baking.bake import Bake, BakeRequest, preflight, run
+from adjgi.adjoint_gi.bridge.cli import cornell as demo
+from adjgi.adjoint_gi.core.base.errors import AdjointError
+from adjgi.adjoint_gi.core.method import registry
 
 solvers.load()
 CORNERS = [(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)]

@@ -5,12 +5,13 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge import preview, targets
-from adjgi.adjoint_gi.bridge.versions import uses_nodes
-from adjgi.adjoint_gi.bridge.write_attribute import write_attribute
-from adjgi.adjoint_gi.bridge.write_image import linked_image, write_image
-from adjgi.adjoint_gi.core.errors import TargetError
-from adjgi.adjoint_gi.core.lightmap import Placement
+from adjgi.adjoint_gi.bridge.host.versions import uses_nodes
+from adjgi.adjoint_gi.bridge.results import links as targets
+from adjgi.adjoint_gi.bridge.results import preview
+from adjgi.adjoint_gi.bridge.results.attribute import write_attribute
+from adjgi.adjoint_gi.bridge.results.image import linked_image, write_image
+from adjgi.adjoint_gi.core.base.errors import TargetError
+from adjgi.adjoint_gi.core.receivers.texels import Placement
 
 
 def plain(value):

@@ -5,9 +5,9 @@ import dataclasses
 
 import bpy
 import pytest
-from adjgi.adjoint_gi.bridge import fields, properties, records
-from adjgi.adjoint_gi.core import registry
-from adjgi.adjoint_gi.core.errors import SettingsError
+from adjgi.adjoint_gi.bridge.props import fields, properties, records
+from adjgi.adjoint_gi.core.base.errors import SettingsError
+from adjgi.adjoint_gi.core.method import registry
 from adjgi.tests.blender.fakes import Fake, FakeSettings, fake_method, square
 
 

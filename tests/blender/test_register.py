@@ -48,7 +48,8 @@ def test_twenty_times_without_a_trace(registered):
 
 
 def test_unregistering_parts_twice_is_harmless(registered):
-    from adjgi.adjoint_gi.bridge import check, jobs, properties
+    from adjgi.adjoint_gi.bridge.baking import check, jobs
+    from adjgi.adjoint_gi.bridge.props import properties
 
     registered.unregister()
     for part in (check, jobs, properties):

@@ -6,13 +6,19 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge import compare_records, demo, jobs, preview, properties, results, targets
-from adjgi.adjoint_gi.bridge.bake import BakeRequest, preflight
-from adjgi.adjoint_gi.bridge.check import now
-from adjgi.adjoint_gi.bridge.extract import extract
-from adjgi.adjoint_gi.bridge.preflight import target_objects
-from adjgi.adjoint_gi.bridge.write_attribute import linked_attribute, place_result_object, remove_result_object, result_object
-from adjgi.adjoint_gi.bridge.write_image import linked_image, read_pixels
+from adjgi.adjoint_gi.bridge.baking import jobs
+from adjgi.adjoint_gi.bridge.baking.bake import BakeRequest, preflight
+from adjgi.adjoint_gi.bridge.baking.check import now
+from adjgi.adjoint_gi.bridge.baking.preflight import target_objects
+from adjgi.adjoint_gi.bridge.cli import cornell as demo
+from adjgi.adjoint_gi.bridge.comparison import records as compare_records
+from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
+from adjgi.adjoint_gi.bridge.props import properties
+from adjgi.adjoint_gi.bridge.results import links as targets
+from adjgi.adjoint_gi.bridge.results import preview
+from adjgi.adjoint_gi.bridge.results import show as results
+from adjgi.adjoint_gi.bridge.results.attribute import linked_attribute, place_result_object, remove_result_object, result_object
+from adjgi.adjoint_gi.bridge.results.image import linked_image, read_pixels
 from adjgi.tests.blender.fakes import quick
 from adjgi.tests.blender.test_preview import difference, everything
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge.extract_mesh import read_mesh
-from adjgi.adjoint_gi.bridge.extract_notices import Notices
-from adjgi.adjoint_gi.bridge.write_attribute import (
+from adjgi.adjoint_gi.bridge.extract.mesh import read_mesh
+from adjgi.adjoint_gi.bridge.host.notices import Notices
+from adjgi.adjoint_gi.bridge.results.attribute import (
     WrittenAttribute,
     check_attribute_target,
     linked_attribute,
@@ -16,10 +16,10 @@ from adjgi.adjoint_gi.bridge.write_attribute import (
     result_object,
     write_attribute,
 )
-from adjgi.adjoint_gi.core.errors import TargetError, WriteError
-from adjgi.adjoint_gi.core.scene import Material, ObjectArrays, SceneArrays
-from adjgi.adjoint_gi.core.vertices import vertex_receivers
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.base.errors import TargetError, WriteError
+from adjgi.adjoint_gi.core.receivers.vertices import vertex_receivers
+from adjgi.adjoint_gi.core.scene.arrays import Material, ObjectArrays, SceneArrays
+from adjgi.adjoint_gi.core.scene.world import World
 
 
 def cube(smooth=False, name="Cube"):

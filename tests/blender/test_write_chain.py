@@ -5,14 +5,14 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge.extract import extract
-from adjgi.adjoint_gi.bridge.lightmap_uv import make_lightmap_uv
-from adjgi.adjoint_gi.bridge.write_attribute import write_attribute
-from adjgi.adjoint_gi.bridge.write_image import read_pixels, write_image
-from adjgi.adjoint_gi.core.lightmap import join, rasterize
-from adjgi.adjoint_gi.core.margin import fill_margin
-from adjgi.adjoint_gi.core.vertices import vertex_receivers
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
+from adjgi.adjoint_gi.bridge.results.attribute import write_attribute
+from adjgi.adjoint_gi.bridge.results.image import read_pixels, write_image
+from adjgi.adjoint_gi.bridge.results.lightmap_uv import make_lightmap_uv
+from adjgi.adjoint_gi.core.receivers.margin import fill_margin
+from adjgi.adjoint_gi.core.receivers.texels import join, rasterize
+from adjgi.adjoint_gi.core.receivers.vertices import vertex_receivers
+from adjgi.adjoint_gi.core.scene.world import World
 
 
 def mean_position(world, receivers):

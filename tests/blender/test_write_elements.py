@@ -6,14 +6,14 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge import demo
-from adjgi.adjoint_gi.bridge.bake import ABOUT, Bake
-from adjgi.adjoint_gi.bridge.targets import RESULTS
-from adjgi.adjoint_gi.bridge.write_attribute import linked_attribute, remove_result_object, result_object
-from adjgi.adjoint_gi.core import registry
-from adjgi.adjoint_gi.core.direct import direct_irradiance
-from adjgi.adjoint_gi.core.emitters import Emitters
-from adjgi.adjoint_gi.core.errors import TargetError
+from adjgi.adjoint_gi.bridge.baking.bake import ABOUT, Bake
+from adjgi.adjoint_gi.bridge.cli import cornell as demo
+from adjgi.adjoint_gi.bridge.results.attribute import linked_attribute, remove_result_object, result_object
+from adjgi.adjoint_gi.bridge.results.links import RESULTS
+from adjgi.adjoint_gi.core.base.errors import TargetError
+from adjgi.adjoint_gi.core.lights.direct import direct_irradiance
+from adjgi.adjoint_gi.core.lights.emitters import Emitters
+from adjgi.adjoint_gi.core.method import registry
 from adjgi.tests.baking import bake, request
 
 COARSE = {"max_edge": 0.25, "light_samples": 8}

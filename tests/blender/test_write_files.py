@@ -7,12 +7,12 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge import files
-from adjgi.adjoint_gi.bridge.files import output_file, output_folder, safe_name
-from adjgi.adjoint_gi.bridge.write_image import read_pixels
-from adjgi.adjoint_gi.core.errors import TargetError, WriteError
-from adjgi.adjoint_gi.core.exr import write_exr
-from adjgi.adjoint_gi.core.png import write_png
+from adjgi.adjoint_gi.bridge.host import files
+from adjgi.adjoint_gi.bridge.host.files import output_file, output_folder, safe_name
+from adjgi.adjoint_gi.bridge.results.image import read_pixels
+from adjgi.adjoint_gi.core.base.errors import TargetError, WriteError
+from adjgi.adjoint_gi.core.images.exr import write_exr
+from adjgi.adjoint_gi.core.images.png import write_png
 
 HOSTILE = [
     "../../x", "/etc/passwd", "a/b\\c:d", "new\nline", "x" * 255, "\U0001f600", "\u05d0\u05d1\u05d2",

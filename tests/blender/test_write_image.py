@@ -7,10 +7,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge import targets
-from adjgi.adjoint_gi.bridge.write_image import linked_image, read_pixels, remove_images, write_image
-from adjgi.adjoint_gi.core.errors import TargetError, WriteError
-from adjgi.adjoint_gi.core.lightmap import Placement
+from adjgi.adjoint_gi.bridge.results import links as targets
+from adjgi.adjoint_gi.bridge.results.image import linked_image, read_pixels, remove_images, write_image
+from adjgi.adjoint_gi.core.base.errors import TargetError, WriteError
+from adjgi.adjoint_gi.core.receivers.texels import Placement
 
 
 def plane(name="Plane", mesh=None):

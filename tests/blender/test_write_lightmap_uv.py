@@ -8,13 +8,13 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge.extract_mesh import read_mesh
-from adjgi.adjoint_gi.bridge.extract_notices import Notices
-from adjgi.adjoint_gi.bridge.lightmap_uv import check_uv_layer, find_uv_layer, make_lightmap_uv, remove_lightmap_uv
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.errors import SceneError, TargetError
-from adjgi.adjoint_gi.core.lightmap import rasterize
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.bridge.extract.mesh import read_mesh
+from adjgi.adjoint_gi.bridge.host.notices import Notices
+from adjgi.adjoint_gi.bridge.results.lightmap_uv import check_uv_layer, find_uv_layer, make_lightmap_uv, remove_lightmap_uv
+from adjgi.adjoint_gi.core.base.errors import SceneError, TargetError
+from adjgi.adjoint_gi.core.receivers.texels import rasterize
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
 
 SHAPES = {
     "cube": lambda: bpy.ops.mesh.primitive_cube_add(),

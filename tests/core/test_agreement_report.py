@@ -8,7 +8,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.agreement import (
+from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.flux.agreement import (
     ALPHA,
     LOUD,
     Groups,
@@ -20,10 +21,9 @@ from adjgi.adjoint_gi.core.agreement import (
     shoot,
     two_sided,
 )
-from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
-from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.registry import methods
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.method.registry import methods
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import load
 from adjgi.tests import scenes
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import bsdf, microfacet
-from adjgi.adjoint_gi.core.builder import SceneBuilder
-from adjgi.adjoint_gi.core.scene import Color, Lobe, Material
+from adjgi.adjoint_gi.core.bsdf import microfacet
+from adjgi.adjoint_gi.core.bsdf import table as bsdf
+from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder
 
 C = Color.of
 ROUGH = {

@@ -9,17 +9,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import comparison, page, registry
-from adjgi.adjoint_gi.core.agreement import groups_of
-from adjgi.adjoint_gi.core.comparison import Budget, Meter, Plan, Reference, constant_reference, error_of, reason_not_to, winner
-from adjgi.adjoint_gi.core.driver import Driver
-from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
-from adjgi.adjoint_gi.core.errors import Notice, SceneError, SettingsError
-from adjgi.adjoint_gi.core.registry import MethodSpec, Nature, Solver, Strategy
-from adjgi.adjoint_gi.core.run_comparison import Comparison
-from adjgi.adjoint_gi.core.settings import Settings, setting
-from adjgi.adjoint_gi.core.solution import Solution, Step
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.base.errors import Notice, SceneError, SettingsError
+from adjgi.adjoint_gi.core.base.settings import Settings, setting
+from adjgi.adjoint_gi.core.comparison import budget as comparison
+from adjgi.adjoint_gi.core.comparison import page
+from adjgi.adjoint_gi.core.comparison.budget import Budget, Meter, Plan, Reference, constant_reference, error_of, reason_not_to, winner
+from adjgi.adjoint_gi.core.comparison.run import Comparison
+from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.flux.agreement import groups_of
+from adjgi.adjoint_gi.core.method import registry
+from adjgi.adjoint_gi.core.method.driver import Driver
+from adjgi.adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy
+from adjgi.adjoint_gi.core.method.solution import Solution, Step
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
 
 STEP = 0.004  # seconds of a step

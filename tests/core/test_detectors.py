@@ -7,12 +7,12 @@ import math
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import detectors
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.elements import Elements
-from adjgi.adjoint_gi.core.errors import SettingsError
-from adjgi.adjoint_gi.core.scene import Camera, Light
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.base.errors import SettingsError
+from adjgi.adjoint_gi.core.elements.elements import Elements
+from adjgi.adjoint_gi.core.flux import detectors
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Light
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
 
 Z = 4.0

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import bsdf
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.directional_rays import DirectionalRays
-from adjgi.adjoint_gi.core.directional_transport import DirectionalTransport
-from adjgi.adjoint_gi.core.directions import Bins, frames
-from adjgi.adjoint_gi.core.elements import Elements
-from adjgi.adjoint_gi.core.scatter_pairs import pairs
-from adjgi.adjoint_gi.core.scattering import Scattering
-from adjgi.adjoint_gi.core.scene import Color, Lobe, Material
-from adjgi.adjoint_gi.core.schemes import jacobi
-from adjgi.adjoint_gi.core.transports import MatrixTransport
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.bsdf import table as bsdf
+from adjgi.adjoint_gi.core.directional.bins import Bins, frames
+from adjgi.adjoint_gi.core.directional.pairs import pairs
+from adjgi.adjoint_gi.core.directional.rays import DirectionalRays
+from adjgi.adjoint_gi.core.directional.scattering import Scattering
+from adjgi.adjoint_gi.core.directional.transport import DirectionalTransport
+from adjgi.adjoint_gi.core.elements.elements import Elements
+from adjgi.adjoint_gi.core.radiosity.schemes import jacobi
+from adjgi.adjoint_gi.core.radiosity.transports import MatrixTransport
+from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
 
 SIZES = [(1, 1), (1, 4), (2, 3), (4, 8)]

@@ -10,15 +10,15 @@ import time
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import resources
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.driver import Driver
-from adjgi.adjoint_gi.core.errors import AdjointError, MemoryRefused
-from adjgi.adjoint_gi.core.receivers import SurfaceReceivers
-from adjgi.adjoint_gi.core.registry import Solver
-from adjgi.adjoint_gi.core.settings import Settings
-from adjgi.adjoint_gi.core.solution import Solution, Step
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.base import resources
+from adjgi.adjoint_gi.core.base.errors import AdjointError, MemoryRefused
+from adjgi.adjoint_gi.core.base.settings import Settings
+from adjgi.adjoint_gi.core.method.driver import Driver
+from adjgi.adjoint_gi.core.method.registry import Solver
+from adjgi.adjoint_gi.core.method.solution import Solution, Step
+from adjgi.adjoint_gi.core.receivers.base import SurfaceReceivers
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
 
 STEPS = 40
 

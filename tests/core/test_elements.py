@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.answer import ElementAnswer, element_solution
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements, parallelograms
-from adjgi.adjoint_gi.core.errors import MemoryRefused
-from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.refinement import RefinedElements, contrast, over_base, smoothed
-from adjgi.adjoint_gi.core.scene import Camera, Color, Light, Lobe, Material, Source, Term, Texture
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.base.errors import MemoryRefused
+from adjgi.adjoint_gi.core.elements.answer import ElementAnswer, element_solution
+from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements, parallelograms
+from adjgi.adjoint_gi.core.elements.refinement import RefinedElements, contrast, over_base, smoothed
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material, Source, Term, Texture
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
 
 CASES = {

@@ -7,12 +7,12 @@ import math
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.emission import Emission
-from adjgi.adjoint_gi.core.lamp_emission import cone_directions, disk
-from adjgi.adjoint_gi.core.mesh_emission import cosine_directions
-from adjgi.adjoint_gi.core.scene import Color, Light, Lobe, Material, Source, Term, Texture
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.lights.emission import Emission
+from adjgi.adjoint_gi.core.lights.lamp_emission import cone_directions, disk
+from adjgi.adjoint_gi.core.lights.mesh_emission import cosine_directions
+from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, Source, Term, Texture
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
 
 # Standard deviations that a sound generator exceeds once in a thousand runs of the 40 z-tests and chi-square tests here (Sidak).
 Z = 4.2

@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import direct
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.direct import direct_irradiance
-from adjgi.adjoint_gi.core.emitters import MOST_LAMPS, Emitters
-from adjgi.adjoint_gi.core.faces import Faces
-from adjgi.adjoint_gi.core.sampling import columns
-from adjgi.adjoint_gi.core.scene import Color, Light, Lobe, Material, Source, Term, Texture
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.lights import direct
+from adjgi.adjoint_gi.core.lights.direct import direct_irradiance
+from adjgi.adjoint_gi.core.lights.emitters import MOST_LAMPS, Emitters
+from adjgi.adjoint_gi.core.sampling.maps import columns
+from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, Source, Term, Texture
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.faces import Faces
+from adjgi.adjoint_gi.core.scene.world import World
 
 # Standard deviations that sound emitters exceed once in a thousand runs of the 60 z-tests here (Sidak).
 Z = 4.3

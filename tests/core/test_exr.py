@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import atomic, exr, png
-from adjgi.adjoint_gi.core.errors import TargetError, WriteError
+from adjgi.adjoint_gi.core.base import atomic
+from adjgi.adjoint_gi.core.base.errors import TargetError, WriteError
+from adjgi.adjoint_gi.core.images import exr, png
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -164,8 +165,8 @@ spec = importlib.util.spec_from_file_location("adjgi", {root!r} + "/__init__.py"
 sys.modules["adjgi"] = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(sys.modules["adjgi"])
 import numpy as np
-from adjgi.adjoint_gi.core import exr, png
-from adjgi.adjoint_gi.core.errors import WriteError
+from adjgi.adjoint_gi.core.images import exr, png
+from adjgi.adjoint_gi.core.base.errors import WriteError
 folder = Path({folder!r})
 noise = np.random.default_rng(0).random((256, 256, 3)).astype(np.float32)
 resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import exr_file
+from adjgi.adjoint_gi.core.images import exr_numpy as exr_file
 
 if not exr_file.wheel_is_safe():
     pytest.skip("this program has an OpenEXR of its own, next to which the wheel crashes", allow_module_level=True)

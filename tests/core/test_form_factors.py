@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import form_factors as ff
-from adjgi.adjoint_gi.core.aligned import exact_pairs
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.elements import Elements
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.elements.elements import Elements
+from adjgi.adjoint_gi.core.radiosity import form_factors as ff
+from adjgi.adjoint_gi.core.radiosity.aligned import exact_pairs
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
 
 

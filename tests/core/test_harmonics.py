@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import bsdf
-from adjgi.adjoint_gi.core.builder import SceneBuilder
-from adjgi.adjoint_gi.core.harmonics import (
+from adjgi.adjoint_gi.core.bsdf import table as bsdf
+from adjgi.adjoint_gi.core.directional.harmonics import (
     HemisphereHarmonics,
     bands,
     cosine_coefficients,
@@ -16,8 +15,9 @@ from adjgi.adjoint_gi.core.harmonics import (
     rotation,
     sphere_quadrature,
 )
-from adjgi.adjoint_gi.core.scatter_pairs import Pairs, pairs
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.directional.pairs import Pairs, pairs
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder
+from adjgi.adjoint_gi.core.scene.world import World
 
 ORDER = 8
 

@@ -6,11 +6,12 @@ import time
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import charts, lightmap
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.errors import MemoryRefused, TargetError
-from adjgi.adjoint_gi.core.lightmap import Placement, rasterize
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.base.errors import MemoryRefused, TargetError
+from adjgi.adjoint_gi.core.receivers import texels as lightmap
+from adjgi.adjoint_gi.core.receivers.texels import Placement, rasterize
+from adjgi.adjoint_gi.core.scene import topology as charts
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests.scenes import icosphere
 
 WHITE = diffuse("White", 0.5)

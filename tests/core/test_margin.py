@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.margin import fill_margin
+from adjgi.adjoint_gi.core.receivers.margin import fill_margin
 
 
 def brute(covered, width):

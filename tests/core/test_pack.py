@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.errors import TargetError
-from adjgi.adjoint_gi.core.pack import pack_charts, place_objects, shelves
-from adjgi.adjoint_gi.core.unwrap import unwrap
+from adjgi.adjoint_gi.core.base.errors import TargetError
+from adjgi.adjoint_gi.core.receivers.pack import pack_charts, place_objects, shelves
+from adjgi.adjoint_gi.core.receivers.unwrap import unwrap
 from adjgi.tests.scenes import icosphere
 
 

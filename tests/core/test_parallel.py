@@ -4,7 +4,7 @@
 import threading
 
 import pytest
-from adjgi.adjoint_gi.core.parallel import in_order, settle
+from adjgi.adjoint_gi.core.base.parallel import in_order, settle
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])

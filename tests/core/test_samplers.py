@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.samplers import KINDS, Sampler, grid, shuffled
+from adjgi.adjoint_gi.core.sampling.sets import KINDS, Sampler, grid, shuffled
 
 NAMES = [kind for kind, _, _ in KINDS]
 EVEN = [kind for kind in NAMES if kind != "independent"]

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import low_discrepancy, sampling
-from adjgi.adjoint_gi.core.sampling import PowerTable, dot
+from adjgi.adjoint_gi.core.sampling import maps as sampling
+from adjgi.adjoint_gi.core.sampling import sobol as low_discrepancy
+from adjgi.adjoint_gi.core.sampling.maps import PowerTable, dot
 
 # Standard deviations that a sound sampler exceeds once in a thousand runs of the 30 tests here (Sidak).
 Z = 4.2

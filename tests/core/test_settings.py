@@ -8,9 +8,9 @@ import json
 
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.core import registry
-from adjgi.adjoint_gi.core.errors import SettingsError
-from adjgi.adjoint_gi.core.settings import Settings, field_type, setting
+from adjgi.adjoint_gi.core.base.errors import SettingsError
+from adjgi.adjoint_gi.core.base.settings import Settings, field_type, setting
+from adjgi.adjoint_gi.core.method import registry
 
 solvers.load()
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import form_factors as ff
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.element_rays import ElementRays
-from adjgi.adjoint_gi.core.elements import Elements
-from adjgi.adjoint_gi.core.factor_matrix import FactorMatrix
-from adjgi.adjoint_gi.core.schemes import NO_LIMIT, Southwell, gauss_seidel, jacobi, lengths, trapped
-from adjgi.adjoint_gi.core.transports import FreshRayTransport, MatrixTransport, RayTransport
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.elements.elements import Elements
+from adjgi.adjoint_gi.core.elements.rays import ElementRays
+from adjgi.adjoint_gi.core.radiosity import form_factors as ff
+from adjgi.adjoint_gi.core.radiosity.factor_matrix import FactorMatrix
+from adjgi.adjoint_gi.core.radiosity.schemes import NO_LIMIT, Southwell, gauss_seidel, jacobi, lengths, trapped
+from adjgi.adjoint_gi.core.radiosity.transports import FreshRayTransport, MatrixTransport, RayTransport
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.errors import TargetError
-from adjgi.adjoint_gi.core.vertices import INSET, vertex_receivers
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.base.errors import TargetError
+from adjgi.adjoint_gi.core.receivers.vertices import INSET, vertex_receivers
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests.scenes import icosphere
 
 WHITE = diffuse("White", 0.5)

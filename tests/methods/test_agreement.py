@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
-from adjgi.adjoint_gi.core.registry import method
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import load
 from adjgi.tests import scenes
 

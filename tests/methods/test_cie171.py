@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.core.registry import method
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import cie171
 
 solvers.load()

@@ -7,18 +7,18 @@ import tracemalloc
 import numpy as np
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.core.bsdf import BsdfTable
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
-from adjgi.adjoint_gi.core.emitters import Emitters
-from adjgi.adjoint_gi.core.errors import MemoryRefused
-from adjgi.adjoint_gi.core.radiance import Walk, gather, lobes_of
-from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.registry import method
-from adjgi.adjoint_gi.core.scene import Camera, Color, Light, Lobe, Material
-from adjgi.adjoint_gi.core.schemes import jacobi
-from adjgi.adjoint_gi.core.transports import MatrixTransport
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.base.errors import MemoryRefused
+from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
+from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.lights.emitters import Emitters
+from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.radiosity.schemes import jacobi
+from adjgi.adjoint_gi.core.radiosity.transports import MatrixTransport
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.adjoint_gi.core.walks.radiance import Walk, gather, lobes_of
 from adjgi.tests import scenes
 
 solvers.load()
@@ -161,7 +161,7 @@ def test_all_ways_to_relax_have_one_limit():
 # ---- against random walks
 
 
-# Mean irradiance of the faces of `glossy_room`, by core/radiance.py with 430,000 walks for each face, and its standard error.
+# Mean irradiance of the faces of `glossy_room`, by core/walks/radiance.py with 430,000 walks for each face, and its standard error.
 WALKED = [
     (1.436, 1.421, 1.186),
     (1.564, 1.325, 1.185),

@@ -7,16 +7,16 @@ import math
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import microfacet
-from adjgi.adjoint_gi.core.bsdf import BsdfTable
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.emitters import Emitters
-from adjgi.adjoint_gi.core.radiance import Walk, gather, lobes_of
-from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.registry import method
-from adjgi.adjoint_gi.core.samplers import KINDS
-from adjgi.adjoint_gi.core.scene import Camera, Color, Light, Lobe, Material
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.bsdf import microfacet
+from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
+from adjgi.adjoint_gi.core.lights.emitters import Emitters
+from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.sampling.sets import KINDS
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.adjoint_gi.core.walks.radiance import Walk, gather, lobes_of
 from adjgi.solvers import distribution  # noqa: F401
 from adjgi.tests import scenes
 from adjgi.tests.surface_points import receivers_at

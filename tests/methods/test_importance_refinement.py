@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import adaptive, detectors
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.elements import Elements
-from adjgi.adjoint_gi.core.emitters import Emitters
-from adjgi.adjoint_gi.core.errors import SettingsError
-from adjgi.adjoint_gi.core.radiosity import LampLight
-from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.registry import method
-from adjgi.adjoint_gi.core.scene import Light
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.base.errors import SettingsError
+from adjgi.adjoint_gi.core.elements.elements import Elements
+from adjgi.adjoint_gi.core.flux import detectors
+from adjgi.adjoint_gi.core.lights.emitters import Emitters
+from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.radiosity import importance as adaptive
+from adjgi.adjoint_gi.core.radiosity.shared import LampLight
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.scene.arrays import Light
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import load
 from adjgi.tests import scenes
 

@@ -4,10 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.irradiance_records import RecordIndex, Records
-from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.registry import method
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.adjoint_gi.core.walks.irradiance_records import RecordIndex, Records
 from adjgi.solvers import load
 from adjgi.tests import scenes
 

@@ -10,13 +10,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import bsdf, radiance
-from adjgi.adjoint_gi.core.builder import SceneBuilder
-from adjgi.adjoint_gi.core.emission import Particles
-from adjgi.adjoint_gi.core.emitters import Emitters
-from adjgi.adjoint_gi.core.scene import Color, Lobe, Material
-from adjgi.adjoint_gi.core.walks import walk
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.bsdf import table as bsdf
+from adjgi.adjoint_gi.core.lights.emission import Particles
+from adjgi.adjoint_gi.core.lights.emitters import Emitters
+from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder
+from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.adjoint_gi.core.walks import radiance
+from adjgi.adjoint_gi.core.walks.particles import walk
 from adjgi.solvers import load
 from adjgi.solvers.distribution import DistributionSettings, Rows, Tracer
 from adjgi.tests.cie171 import receivers_at

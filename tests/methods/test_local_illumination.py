@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.receivers import CameraReceivers
-from adjgi.adjoint_gi.core.registry import method
-from adjgi.adjoint_gi.core.scene import Camera, Color, Light, Lobe, Material
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import local_illumination  # noqa: F401
 from adjgi.tests import scenes
 from adjgi.tests.surface_points import receivers_at
@@ -143,8 +143,8 @@ def test_reflection_models(model):
 
 def test_phong_lobe_reflects_its_share():
     """The lobe (n + 2) / 2 pi cos^n alpha times the cosine, integrated at normal incidence, is k_s."""
-    from adjgi.adjoint_gi.core.bsdf import BsdfTable
-    from adjgi.adjoint_gi.core.light_points import phong_lobe
+    from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
+    from adjgi.adjoint_gi.core.lights.light_points import phong_lobe
 
     for roughness in (0.3, 0.6, 0.9):
         world = World(floor(material=Material("G", (Lobe("glossy", Color.of(0.7), roughness),))).build())

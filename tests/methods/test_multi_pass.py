@@ -6,16 +6,17 @@ import dataclasses
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import bsdf, gathering, radiance
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
-from adjgi.adjoint_gi.core.emitters import Emitters
-from adjgi.adjoint_gi.core.errors import SceneError
-from adjgi.adjoint_gi.core.receivers import CameraReceivers
-from adjgi.adjoint_gi.core.registry import Nature, Strategy, method
-from adjgi.adjoint_gi.core.scene import Color, Lobe, Material
-from adjgi.adjoint_gi.core.schemes import NO_LIMIT
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.base.errors import SceneError
+from adjgi.adjoint_gi.core.bsdf import table as bsdf
+from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.lights.emitters import Emitters
+from adjgi.adjoint_gi.core.method.registry import Nature, Strategy, method
+from adjgi.adjoint_gi.core.radiosity.schemes import NO_LIMIT
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
+from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.adjoint_gi.core.walks import gathering, radiance
 from adjgi.solvers import load
 from adjgi.tests import scenes
 

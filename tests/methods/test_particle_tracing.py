@@ -8,13 +8,13 @@ import sys
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.emission import Emission
-from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.registry import method
-from adjgi.adjoint_gi.core.scene import Camera, Color, Light, Lobe, Material
-from adjgi.adjoint_gi.core.walks import walk
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.lights.emission import Emission
+from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.adjoint_gi.core.walks.particles import walk
 from adjgi.tests import scenes
 from adjgi.tests.particles import Z, agrees, by_material, front, on_elements, replicates, solve
 

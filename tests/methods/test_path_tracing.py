@@ -8,13 +8,13 @@ import warnings
 import numpy as np
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
-from adjgi.adjoint_gi.core.film import aovs
-from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.registry import method
-from adjgi.adjoint_gi.core.scene import Camera, Light
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.receivers.film import aovs
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Light
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import path_tracing as module
 from adjgi.tests import scenes
 
@@ -338,7 +338,7 @@ def test_stratified_numbers_are_better_than_random_ones(monkeypatch):
         return np.sqrt(np.mean((solve(world, receivers, samples=64, max_length=1).direct - exact) ** 2))
 
     stratified = error()
-    monkeypatch.setattr("adjgi.adjoint_gi.core.paths.STRATIFIED", 0)
+    monkeypatch.setattr("adjgi.adjoint_gi.core.walks.diffuse_paths.STRATIFIED", 0)
     assert stratified < 0.5 * error()
 
 

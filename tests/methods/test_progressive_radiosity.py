@@ -6,23 +6,23 @@ import time
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core import adaptive
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.direct import direct_irradiance
-from adjgi.adjoint_gi.core.element_mesh import element_mesh
-from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
-from adjgi.adjoint_gi.core.emitters import Emitters
-from adjgi.adjoint_gi.core.errors import SceneError
-from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.refinement import RefinedElements
-from adjgi.adjoint_gi.core.registry import method
-from adjgi.adjoint_gi.core.scene import Light
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.base.errors import SceneError
+from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.elements.mesh import element_mesh
+from adjgi.adjoint_gi.core.elements.refinement import RefinedElements
+from adjgi.adjoint_gi.core.lights.direct import direct_irradiance
+from adjgi.adjoint_gi.core.lights.emitters import Emitters
+from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.radiosity import importance as adaptive
+from adjgi.adjoint_gi.core.radiosity.schemes import LARGEST_BATCH
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.scene.arrays import Light
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import load
 from adjgi.tests import scenes
 
 load()
-from adjgi.solvers.progressive_radiosity import LARGEST_BATCH  # noqa: E402
 
 
 def on_elements(scene, edge=10.0):

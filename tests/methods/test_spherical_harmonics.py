@@ -8,21 +8,21 @@ import tracemalloc
 import numpy as np
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.core.bsdf import BsdfTable
-from adjgi.adjoint_gi.core.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.directional_rays import DirectionalRays
-from adjgi.adjoint_gi.core.elements import ElementReceivers, Elements
-from adjgi.adjoint_gi.core.emitters import Emitters
-from adjgi.adjoint_gi.core.harmonic_shooting import HarmonicShooting
-from adjgi.adjoint_gi.core.harmonics import HemisphereHarmonics
-from adjgi.adjoint_gi.core.radiance import Walk, gather, lobes_of
-from adjgi.adjoint_gi.core.receivers import CameraReceivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.registry import method
-from adjgi.adjoint_gi.core.scattering import Scattering
-from adjgi.adjoint_gi.core.scene import Camera, Color, Light, Lobe, Material
-from adjgi.adjoint_gi.core.schemes import NO_LIMIT, Southwell
-from adjgi.adjoint_gi.core.transports import FreshRayTransport
-from adjgi.adjoint_gi.core.world import World
+from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
+from adjgi.adjoint_gi.core.directional.harmonic_shooting import HarmonicShooting
+from adjgi.adjoint_gi.core.directional.harmonics import HemisphereHarmonics
+from adjgi.adjoint_gi.core.directional.rays import DirectionalRays
+from adjgi.adjoint_gi.core.directional.scattering import Scattering
+from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.lights.emitters import Emitters
+from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.radiosity.schemes import NO_LIMIT, Southwell
+from adjgi.adjoint_gi.core.radiosity.transports import FreshRayTransport
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
+from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.adjoint_gi.core.walks.radiance import Walk, gather, lobes_of
 from adjgi.tests import scenes
 
 solvers.load()

@@ -1,0 +1,1 @@
+"""One bake, in the foreground or in the background."""

@@ -1,0 +1,324 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Everything that would keep a bake from working, or make its result a surprise, found before it starts.
+
+Two parts: what can be read off Blender's data at once, and what needs the extracted scene. An error refuses the bake.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import bpy
+
+from ...core.base.errors import AdjointError, Notice, TargetError
+from ...core.base.resources import SHARE, available_memory, size_text
+from ...core.elements.elements import Elements
+from ...core.receivers.base import Receivers
+from ...core.receivers.texels import memory as lightmap_memory
+from ...core.scene.arrays import SceneArrays
+from ...core.scene.world import World
+from ...core.walks import openness
+from ..extract.camera import render_size
+from ..extract.depsgraph import extract
+from ..host import files
+from ..host.notices import Notices
+from ..props.request import RECEIVERS, BakeRequest
+from ..results import links as targets
+from ..results.attribute import check_attribute_target
+from ..results.lightmap_uv import MOST, NAME, STORED
+from ..results.show import unhidden
+from . import outputs
+
+QUICK = 300_000  # triangles above which the panel's check does not extract the scene
+LEFT_OUT = ("and is left out", "so it is left out")  # how the extraction says that a whole object is not there
+BYTES_A_TRIANGLE = 900  # arrays, rows of the world and Embree's tree, measured on zdm2
+
+
+def preflight(context: bpy.types.Context, request: BakeRequest, thorough: bool = False) -> list[Notice]:
+    """All notices, errors first. Nothing is changed. Big scenes are extracted only when `thorough`."""
+    notices = look(context, request)
+    if any(n.severity == "error" for n in notices):
+        return notices
+    depsgraph = context.evaluated_depsgraph_get()
+    count = triangle_count(depsgraph)
+    if count > QUICK and not thorough:
+        notices.append(Notice("Scene", f"has about {count:,} triangles; they are looked at when the bake starts", "", "info"))
+        notices += _memory_notice("Scene", count * BYTES_A_TRIANGLE)
+        return ordered(notices)
+    arrays = extract(depsgraph, context.scene, picture_size(context.scene, request))
+    taken = outputs.problems(request, arrays, receiving(arrays, request), context.scene.name)
+    return ordered([*notices, *inspect(World(arrays), request), *taken])
+
+
+def ordered(notices: list[Notice]) -> list[Notice]:
+    """Errors, warnings, infos; objects with the same sentence together."""
+    grouped = Notices()
+    for n in notices:
+        for name in n.names or (n.object,):
+            grouped.add(name, n.reason, n.remedy, n.severity)
+    return list(grouped.result())
+
+
+def look(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
+    """What can be told without extracting the scene."""
+    notices = request.problems()
+    scene = context.scene
+    context.view_layer.update()  # after a removal its list of objects has a hole until then
+    if request.target == "render":
+        if scene.camera is None:
+            notices.append(Notice("Camera", "the scene has no active camera", "Add a camera and make it active", "error"))
+    else:
+        for name in request.objects:
+            notices += _named(context, name)
+        if not any(n.severity == "error" for n in notices):
+            objects, left_out = _targets(context, request)
+            notices += left_out
+            check = _texture_target if request.target == "texture" else _attribute_target
+            for obj in objects:
+                notices += check(obj, request)
+    notices += _output(request)
+    return ordered(notices)
+
+
+def target_objects(context: bpy.types.Context, request: BakeRequest) -> list[bpy.types.Object]:
+    """The mesh objects that `request` means: those named, or all that have faces, are not hidden in render and can be written to."""
+    return _targets(context, request)[0]
+
+
+def _targets(context: bpy.types.Context, request: BakeRequest) -> tuple[list[bpy.types.Object], list[Notice]]:
+    """The same, and warnings for objects that are left out because nothing can be written to them; errors when there are no others."""
+    wanted = dict.fromkeys(request.objects)
+    if wanted:
+        return [context.view_layer.objects[name] for name in wanted if name in context.view_layer.objects], []
+    why = [(o, unwritable(o, request)) for o in _with_faces(context)]
+    able = [o for o, error in why if error is None]
+    left_out = [error.notice for _, error in why if error is not None]
+    if able:
+        left_out = [replace(n, reason=f"{n.reason}; it is in the light, but not baked", severity="warning") for n in left_out]
+    return able, left_out
+
+
+def unwritable(obj: bpy.types.Object, request: BakeRequest) -> TargetError | None:
+    """Why `obj`, of another file, cannot keep the result, so that it is left out unless it was named; None when it can."""
+    own_uv = request.target == "texture" and not request.uv_layer and not has_own_layer(obj.data)
+    return targets.linked(obj, own_uv or (request.target == "attribute" and not request.new_object))
+
+
+def _with_faces(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """Mesh objects that have faces and are not hidden in render."""
+    depsgraph = context.evaluated_depsgraph_get()
+    with unhidden(context.view_layer):
+        shown = {i.object.original.session_uid for i in depsgraph.object_instances if not i.is_instance and i.object.type == "MESH"}
+    meshes = [o for o in context.view_layer.objects if o.type == "MESH" and not targets.is_result(o)]
+    objects = [o for o in meshes if o.session_uid in shown and not o.hide_render]
+    # In edit mode the evaluated mesh shows no faces here, although the scene has them.
+    return [o for o in objects if o.mode == "EDIT" or len(o.evaluated_get(depsgraph).data.polygons)]
+
+
+def inspect(world: World, request: BakeRequest) -> list[Notice]:
+    """What the extracted scene tells: its own notices, no light, open gaps and turned normals, memory."""
+    arrays = world.scene
+    notices = list(arrays.warnings)
+    receivers = receiving(arrays, request)
+    if request.target == "render":
+        if arrays.camera is None:
+            notices.append(Notice("Camera", "there is no camera that can be used", "Make it perspective or orthographic", "error"))
+    else:
+        notices = refusals(notices, [n for n in request.objects if n not in {arrays.objects[i].source for i in receivers}])
+        if not request.objects:
+            notices += _meshless(arrays)
+        if not receivers and not request.objects and not any(n.severity == "error" for n in notices):
+            notices.append(Notice("Scene", "has no mesh object with faces to bake", "Add one, or show one in renders", "error"))
+    if not emits(world):
+        notices.append(Notice("Scene", "nothing emits light; the result is black", "Add a light, an emitting material or a world colour"))
+    notices += openness.notices(world, set(receivers) if request.target != "render" else None)
+    notices += world.shading.substitutions(request.solver.spec.lobes)
+    notices += estimates(world, request, len(receivers))
+    return ordered(notices)
+
+
+def refusals(notices: list[Notice], missing: list[str]) -> list[Notice]:
+    """`notices`, and an error for each object of `missing`, which was asked for and is not in the scene as it is rendered.
+
+    Where the extraction has said why it left an object out, that notice becomes the error.
+    """
+    left_out = [n for n in notices if any(words in n.reason for words in LEFT_OUT)]
+    told = {name: n for n in left_out for name in n.names or (n.object,) if name in missing}
+    out = []
+    for n in notices:
+        names = n.names or (n.object,)
+        out += [Notice(name, n.reason, n.remedy, n.severity) for name in names if told.get(name) is not n]
+    for name in missing:
+        if name in told:
+            out.append(Notice(name, told[name].reason, told[name].remedy or "Give it faces, or do not bake it", "error"))
+        else:
+            reason = "is not in the scene as it is rendered: it is seen only as an instance, or has no faces with an area"
+            out.append(Notice(name, reason, "Make its instances real, or give it faces", "error"))
+    return out
+
+
+def receiving(arrays: SceneArrays, request: BakeRequest) -> list[int]:
+    """Indices of the objects that receive: no instances, texts or curves, which have no mesh to write to, nor objects of other files."""
+    if request.target == "render":
+        return []
+    meshes = {o.session_uid: o for o in bpy.data.objects if o.type == "MESH" and not targets.is_result(o)}
+    own = [i for i, o in enumerate(arrays.objects) if not o.instance and o.uid in meshes]
+    if request.objects:
+        return [i for i in own if arrays.objects[i].source in request.objects]
+    return [i for i in own if unwritable(meshes[arrays.objects[i].uid], request) is None]
+
+
+def emits(world: World) -> bool:
+    """Whether there is any light at all."""
+    lamps = any(any(light.color) for light in world.scene.lights)
+    return lamps or any(world.scene.background) or bool(world.shading.emissive().any())
+
+
+def estimates(world: World, request: BakeRequest, objects: int) -> list[Notice]:
+    """Receivers, elements and memory of the bake as infos, and an error when the memory is not there."""
+    solver, settings = request.solver, request.settings
+    receivers = Receivers()
+    receivers.kind = RECEIVERS[request.target]
+    needed = 0
+    if request.target == "texture":
+        images = 1 if request.atlas else objects
+        receivers.count = images * request.resolution**2
+        needed += lightmap_memory(request.resolution, request.resolution, request.subsamples)
+        what = f"up to {receivers.count:,} texels"
+    elif request.target == "attribute":
+        if request.new_object and solver.spec.uses_elements and world.triangle_count:
+            # At most the four corners of every element.
+            receivers.count = 4 * Elements.planned(world, settings.max_edge, solver.element_target(settings))
+        else:
+            receivers.count = sum(world.scene.objects[i].corner_count for i in receiving(world.scene, request))
+        what = f"up to {receivers.count:,} vertices and corners"
+    else:
+        camera = world.scene.camera
+        width, height = (camera.width, camera.height) if camera else (0, 0)
+        receivers.count, receivers.measure = width * height, "radiance"
+        what = f"{width} x {height} pixels"
+    notices = []
+    try:
+        if solver.spec.uses_elements and world.triangle_count:
+            count = Elements.planned(world, settings.max_edge, solver.element_target(settings))
+            what += f", {count:,} elements"
+        needed += solver.memory(world, receivers, settings)
+    except AdjointError as error:
+        notices.append(error.notice)
+    return notices + _memory_notice(solver.spec.label, needed, f"{world.triangle_count:,} triangles, {what}")
+
+
+def triangle_count(depsgraph: bpy.types.Depsgraph) -> int:
+    """About how many triangles the evaluated scene has."""
+    known: dict[int, int] = {}
+    total = 0
+    for inst in depsgraph.object_instances:
+        obj = inst.object
+        if obj.type == "MESH":
+            key = obj.data.as_pointer()
+            if key not in known:
+                known[key] = max(0, len(obj.data.loops) - 2 * len(obj.data.polygons))
+            total += known[key]
+    return total
+
+
+def picture_size(scene: bpy.types.Scene, request: BakeRequest) -> tuple[int, int]:
+    """Width and height of the camera picture."""
+    width, height = render_size(scene)
+    return request.width or width, request.height or height
+
+
+def _named(context: bpy.types.Context, name: str) -> list[Notice]:
+    """Whether the object called `name` can be baked to at all."""
+    obj = context.view_layer.objects.get(name)
+    if obj is None:
+        known = name in bpy.data.objects
+        reason = "is not in this view layer, or its collection is excluded" if known else "does not exist"
+        have = ", ".join(o.name for o in context.view_layer.objects if o.type == "MESH") or "none"
+        return [Notice(name, reason, f"Choose of the mesh objects: {have}", "error")]
+    if obj.is_missing:
+        return [Notice(name, *targets.missing(obj), "error")]
+    if obj.type != "MESH":
+        return [Notice(name, f"is a {obj.type.lower()}, not a mesh", "Convert it to a mesh", "error")]
+    if targets.is_result(obj):
+        return [Notice(name, "was made by a bake to hold a result, so nothing is baked to it", "Bake the object it was made of", "error")]
+    if obj.hide_render:
+        return [Notice(name, "is hidden in render, so no light reaches it", "Enable it in renders", "error")]
+    return []
+
+
+def _meshless(arrays: SceneArrays) -> list[Notice]:
+    """Texts, curves and the like, which are in the light but not baked."""
+    kinds = {o.session_uid: o.type for o in bpy.data.objects}
+    found = [(o.source, kinds.get(o.uid, "MESH")) for o in arrays.objects if not o.instance]
+    reason = "takes part in the light, but has no mesh to bake to"
+    return [Notice(name, f"is a {kind.lower()}, which {reason}", "Convert it to a mesh", "info") for name, kind in found if kind != "MESH"]
+
+
+def _texture_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]:
+    """Whether the UV layer is there or can be made."""
+    mesh = obj.data
+    try:
+        targets.check_object(obj)
+    except TargetError as error:
+        return [error.notice]
+    if request.uv_layer:
+        if request.uv_layer not in mesh.uv_layers:
+            have = ", ".join(f'"{layer.name}"' for layer in mesh.uv_layers) or "none"
+            reason = f'has no UV layer "{request.uv_layer}" (layers: {have})'
+            return [Notice(obj.name, reason, "Choose one of its layers, or leave it empty to have one made", "error")]
+        return []
+    if has_own_layer(mesh):
+        return []
+    try:
+        targets.check_mesh(obj)
+    except TargetError as error:
+        return [replace(error.notice, remedy=f"{error.notice.remedy}, or name one of its UV layers")]
+    if len(mesh.uv_layers) >= MOST:
+        reason = f"has {len(mesh.uv_layers)} UV layers already, and Blender keeps no more than {MOST}"
+        return [Notice(obj.name, reason, "Remove one, or name the one to bake into", "error")]
+    numbered = f' with a number, because it has one called "{NAME}"' if NAME in mesh.uv_layers else ""
+    return [Notice(obj.name, f"has no lightmap UV layer yet; one is made{numbered}", "", "info")]
+
+
+def has_own_layer(mesh: bpy.types.Mesh) -> bool:
+    """Whether the mesh has the UV layer that was made for lightmaps."""
+    name = mesh.get(STORED)
+    return isinstance(name, str) and name in mesh.uv_layers
+
+
+def _attribute_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]:
+    """Whether the mesh can hold the attribute."""
+    try:
+        check_attribute_target(obj, bpy.context.evaluated_depsgraph_get(), request.new_object)
+    except TargetError as error:
+        return [error.notice]
+    return []
+
+
+def _output(request: BakeRequest) -> list[Notice]:
+    """Whether files can be written where they are wanted, and whether anything outlives the session."""
+    if not request.output:
+        if request.target == "render":
+            return [Notice("Output", "no folder is given for the picture", "Choose a folder", "error")]
+        if not bpy.data.filepath:
+            reason = "the file was never saved and no folder is given: the result is kept in this session only"
+            return [Notice("Output", reason, "Save the file or choose a folder", "info")]
+        return []
+    try:
+        files.output_folder(request.output, create=False)
+    except AdjointError as error:
+        return [error.notice]
+    return []
+
+
+def _memory_notice(label: str, needed: int, what: str = "") -> list[Notice]:
+    """The estimate as an info, or as an error when so much is not free; `what` says what it is for."""
+    free = available_memory()
+    said = f"about {size_text(needed)} of memory" + (f" for {what}" if what else "")
+    if free is None:
+        return [Notice(label, f"takes {said}", "", "info")]
+    if needed > SHARE * free:
+        remedy = "Lower the resolution or the number of elements, or choose another method"
+        return [Notice(label, f"needs {said}, and {size_text(free)} are free", remedy, "error")]
+    return [Notice(label, f"takes {said}; {size_text(free)} are free", "", "info")]

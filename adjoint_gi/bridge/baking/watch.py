@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Remembers the objects a bake is for, without holding them, and tells later whether they are still the same."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ...core.base.errors import Notice
+
+
+@dataclass(frozen=True)
+class Print:
+    """What is remembered of one object: counts and a checksum of its mesh, and a checksum of the UV layer that is baked into."""
+
+    name: str
+    counts: tuple[int, int, int]
+    shape: int
+    uv: int
+
+
+class Targets:
+    """The prints of some objects by session_uid. An object may be renamed meanwhile; it may not be deleted or edited.
+
+    `layers` names, by session_uid, the UV layer that an object is baked into, if any.
+    """
+
+    def __init__(self, objects: Iterable[bpy.types.Object], layers: Mapping[int, str] | None = None) -> None:
+        self._layers = layers or {}
+        self._prints = {o.session_uid: Print(o.name, _counts(o.data), _shape(o.data), self._uv(o)) for o in objects}
+
+    def problems(self, thorough: bool = True) -> list[Notice]:
+        """Why a result can no longer be written to its objects; empty when it can. Without `thorough`, positions are not compared."""
+        present = {o.session_uid: o for o in bpy.data.objects}
+        out = []
+        for uid, seen in self._prints.items():
+            now = present.get(uid)
+            if now is None:
+                out.append(Notice(seen.name, "was deleted while it was baked", "Undo the deletion or bake again", "error"))
+            elif now.mode == "EDIT":
+                out.append(Notice(now.name, "is in Edit Mode", "Leave Edit Mode, then press Write Result", "error"))
+            elif _counts(now.data) != seen.counts or (thorough and _shape(now.data) != seen.shape):
+                out.append(Notice(now.name, "had its mesh edited while it was baked", "Undo the edit or bake again", "error"))
+            elif not self._same_layer(now, seen, thorough):
+                out.append(Notice(now.name, "had the UV layer changed that it is baked into", "Undo that or bake again", "error"))
+        return out
+
+    def _same_layer(self, now: bpy.types.Object, seen: Print, thorough: bool) -> bool:
+        name = self._layers.get(now.session_uid, "")
+        return not name or (name in now.data.uv_layers and (not thorough or self._uv(now) == seen.uv))
+
+    def _uv(self, obj: bpy.types.Object) -> int:
+        """Checksum of the UV layer, 0 where there is none."""
+        layer = obj.data.uv_layers.get(self._layers.get(obj.session_uid, ""))
+        if layer is None:
+            return 0
+        values = np.empty(2 * len(obj.data.loops), np.float32)
+        layer.uv.foreach_get("vector", values)
+        return zlib.crc32(values.tobytes())
+
+
+def _counts(mesh: bpy.types.Mesh) -> tuple[int, int, int]:
+    return len(mesh.vertices), len(mesh.loops), len(mesh.polygons)
+
+
+def _shape(mesh: bpy.types.Mesh) -> int:
+    """Checksum of vertex positions and of the vertices of all corners."""
+    positions = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", positions)
+    corners = np.empty(len(mesh.loops), np.int32)
+    mesh.loops.foreach_get("vertex_index", corners)
+    return zlib.crc32(corners.tobytes(), zlib.crc32(positions.tobytes()))

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The commands `bake` and `check`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import tempfile
+from pathlib import Path
+
+import bpy
+
+from ...core.base.atomic import check_target, replace_file
+from ...core.base.errors import AdjointError, MemoryRefused, Notice, SceneError, TargetError, WriteError
+from ...core.base.resources import peak_memory, size_text
+from ...core.method.solution import Solution
+from ..baking.bake import ABOUT, Bake, preflight
+from ..host import files
+from ..props.request import BakeRequest
+from ..results import kept
+from .arguments import DONE, FAILED, INTERRUPTED, request_of, use_threads
+from .open import open_scene
+from .progress import Progress, say_notices, seconds_text
+
+
+def bake(options: argparse.Namespace) -> int:
+    """Bake, write, report; returns the exit code."""
+    use_threads(options.threads)
+    request = request_of(options)
+    open_scene(options)
+    require_place(options, request)
+    made = Bake(bpy.context, request)
+    say_notices(made.notices)
+    failure = solve(made)
+    solution = made.driver.solution()
+    if isinstance(failure, SceneError | MemoryRefused):
+        raise failure  # refused by the method once it had looked closely: what there is until then is no result
+    if solution is None:
+        if failure is not None:
+            raise failure
+        raise KeyboardInterrupt
+    told = len(made.notices)
+    try:
+        write(made, solution, options.save_blend)
+    except AdjointError as error:
+        say_notices([error.notice])
+        say_notices([Notice("Result", f"is kept in {kept.save(solution)}", "Read it with numpy.load", "warning")])
+        return FAILED
+    say_notices(made.notices[told:])
+    if options.report:
+        print(f"wrote {write_report(Path(options.report), made.report())}")
+    print(summary(made))
+    if failure is not None:
+        if isinstance(failure, AdjointError):
+            say_notices([failure.notice])
+        else:
+            say_notices([Notice("Solver", f"failed with {type(failure).__name__}: {failure}", "The partial result was written", "error")])
+        return FAILED
+    return INTERRUPTED if solution.partial else DONE
+
+
+def check(options: argparse.Namespace) -> int:
+    """Say everything that pre-flight finds; 2 when the bake would be refused."""
+    request = request_of(options)
+    open_scene(options)
+    notices = preflight(bpy.context, request, thorough=True)
+    for notice in notices:
+        print(f"{notice.severity}: {notice}")
+    errors = sum(n.severity == "error" for n in notices)
+    print(f"{errors} errors, {sum(n.severity == 'warning' for n in notices)} warnings")
+    return 2 if errors else 0
+
+
+def solve(made: Bake) -> BaseException | None:
+    """Run the driver with a progress line; returns what the solver raised."""
+    progress = Progress(made.driver.solver.spec.label)
+    try:
+        made.driver.run(progress)
+    except KeyboardInterrupt:
+        raise
+    except Exception as error:
+        return error
+    finally:
+        progress.end()
+    return None
+
+
+def write(made: Bake, solution: Solution, blend: str | None) -> None:
+    """Write the result, and save the scene with it as `blend`; raises `AdjointError` when not all of it was written.
+
+    Where only files could not be written the scene holds the result all the same, so it is saved.
+    """
+    problem = None
+    try:
+        made.write(solution)
+    except AdjointError as error:
+        problem = error
+    if blend and (made.written or problem is None):
+        made.files.append(save_blend(Path(blend)))
+        made.written.append(made.files[-1])
+    if blend or problem is None:
+        for name in made.written:
+            print(f"wrote {name}")
+    if problem is not None:
+        raise problem
+
+
+def summary(made: Bake) -> str:
+    """The last line: what, how long, how many rays, how much memory."""
+    driver, solution = made.driver, made.driver.solution()
+    state = "partial result" if solution.partial else "finished"
+    text = f"{state}: {driver.solver.spec.id} to {made.request.target}, {seconds_text(solution.seconds)}, {int(solution.rays):,} rays"
+    if solution.balance is not None:
+        text += f", energy gap {100 * solution.balance.gap:.2g} %"
+    peak = peak_memory()
+    return text + (f", peak memory {size_text(peak)}" if peak is not None else "")
+
+
+def require_place(options: argparse.Namespace, request: BakeRequest) -> None:
+    """Refuse, before any work, a bake whose result would be lost or could not be written."""
+    if request.target == "render" and not request.output:
+        raise TargetError("--output", "is missing", "Give a folder for the picture")
+    if request.target == "texture" and not request.output and not options.save_blend:
+        raise TargetError(
+            "--output", "is missing, so the lightmaps would be lost", "Give a folder, or save the scene with --save-blend FILE"
+        )
+    if request.target == "attribute" and not options.save_blend:
+        raise TargetError("--save-blend", "is missing, and only a .blend file holds an attribute", "Give --save-blend FILE")
+    if options.save_blend:
+        require_blend(Path(options.save_blend).absolute(), options.overwrite)
+    if options.report:
+        path = Path(options.report).absolute()
+        if not path.parent.is_dir():
+            raise TargetError(str(path), "is in a folder that does not exist", "Make the folder, or choose another")
+        check_target(path, path.parent, is_report)
+    if request.output:
+        files.output_folder(request.output)
+
+
+def require_blend(path: Path, overwrite: bool) -> None:
+    """Raise `TargetError` unless `path` may be written: a new file, or any with `overwrite`."""
+    if path.suffix != ".blend":
+        raise TargetError(str(path), "does not end in .blend", "Choose another name")
+    if not path.parent.is_dir():
+        raise TargetError(str(path), "is in a folder that does not exist", "Make the folder, or choose another")
+    if path.is_symlink() or (path.exists() and not overwrite):
+        raise TargetError(str(path), "exists and is not replaced", "Choose another name, or add --overwrite")
+
+
+def save_blend(path: Path) -> str:
+    """Save the open file as `path` and look into it for the results; raises `WriteError` when one is missing."""
+    path = path.absolute()
+    try:
+        bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, check_existing=False)
+    except RuntimeError as error:
+        raise WriteError(str(path), f"could not be written ({str(error).strip()})", "Choose another folder") from None
+    # A copy is looked into, because Blender does not look into the file that is open.
+    with tempfile.TemporaryDirectory(prefix="adjoint_gi_") as folder:
+        copy = shutil.copyfile(path, Path(folder) / "copy.blend")
+        with bpy.data.libraries.load(str(copy)) as (inside, _):
+            have = {"images": set(inside.images), "meshes": set(inside.meshes)}
+    for kind, names in have.items():
+        missing = {block.name for block in getattr(bpy.data, kind) if ABOUT in block} - names
+        if missing:
+            raise WriteError(str(path), f"does not hold {', '.join(sorted(missing))}", "Check the disk and try again")
+    return str(path)
+
+
+def write_report(path: Path, report: dict) -> Path:
+    """Write `report` as JSON; raises `TargetError` where a file is that is no report."""
+    path = path.absolute()
+    data = json.dumps(report, indent=1).encode()
+    return replace_file(
+        path, path.parent, write=lambda p: _put(p, data), verify=lambda p: p.read_bytes() == data and is_report(p), ours=is_report
+    )
+
+
+def is_report(path: Path) -> bool:
+    """Whether a file is a report of ours."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        return isinstance(found, dict) and "format" in found and "adjoint_gi" in found.get("versions", {})
+    except (OSError, ValueError):
+        return False
+
+
+def _put(path: Path, data: bytes) -> None:
+    with open(path, "wb") as file:
+        file.write(data)

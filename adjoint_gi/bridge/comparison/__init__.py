@@ -1,0 +1,1 @@
+"""Methods against one reference, on Blender's scene: asked, run, shown, written."""

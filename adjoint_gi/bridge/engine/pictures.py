@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Camera pictures as files: one OpenEXR with all passes, and a PNG to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ...core.images.exr import write_exr
+from ...core.images.png import write_png
+from ...core.method.driver import Driver
+from ...core.method.solution import Solution
+from ..host import files
+from .passes import Geometry, pixels
+from .render_engine import Plan
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+
+
+def exposure(values: np.ndarray) -> float:
+    """A whole number of stops (as a factor) that brings the bright parts of `values` (n, 3) below 1; 1 where they are about right."""
+    luminance = values.reshape(-1, values.shape[-1])[:, :3] @ LUMINANCE
+    luminance = luminance[luminance > 0]
+    if not len(luminance):
+        return 1.0
+    bright = float(np.percentile(luminance, 95))
+    return 1.0 if 0.25 <= bright <= 1.0 else float(2.0 ** -np.ceil(np.log2(bright)))
+
+
+def write_picture(
+    driver: Driver, solution: Solution, transparent: bool, folder: Path, stem: str, metadata: Mapping[str, str]
+) -> list[Path]:
+    """Write STEM.exr and STEM.png of a camera `solution` into `folder`; returns both paths. Raises TargetError or WriteError."""
+    spec, scene = driver.solver.spec, driver.world.scene
+    plan = Plan(scene, driver.solver, driver.settings, transparent, "")
+    width, height = scene.camera.width, scene.camera.height
+    passes = pixels(spec, solution, Geometry.of(driver.world, driver.receivers), plan)
+    layers = {name: np.asarray(values, np.float32).reshape(height, width, -1) for name, values in passes.items()}
+    combined = layers.pop("Combined")
+    picture, look = (files.output_file(folder, stem, suffix) for suffix in (".exr", ".png"))
+    write_exr(picture, combined, layers, folder=folder, metadata=metadata)
+    factor = exposure(combined[..., :3])
+    shown = combined * np.array([factor, factor, factor, 1], np.float32)
+    write_png(look, shown if transparent else shown[..., :3], folder=folder)
+    return [picture, look]

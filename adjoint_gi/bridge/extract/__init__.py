@@ -1,0 +1,1 @@
+"""Depsgraph to SceneArrays."""

@@ -1,0 +1,132 @@
+"""Materials of the scene: each node tree once, made safe to compute with."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import bpy
+import numpy as np
+
+from ...core.scene.arrays import Color, Lobe, Material, Term, Texture
+from ..host.notices import Notices
+from ..host.versions import uses_nodes
+from .color_math import NotPolynomial, mapped
+from .colors import Colors
+from .images import Images
+from .nodes import Place, is_linked
+from .shaders import Shaders, merged, surface
+
+LARGEST_EMISSION = 1e9  # W m-2 sr-1; its square still fits in float32
+BESIDE = ("emission", "specular", "dielectric")  # lobes that take nothing from what the others reflect and pass
+DEFAULT = "Default"  # name of the material of faces without one
+
+
+class Materials:
+    """Collects materials while the objects are walked over."""
+
+    def __init__(self, depsgraph: bpy.types.Depsgraph, notices: Notices) -> None:
+        self._depsgraph = depsgraph
+        self._override = depsgraph.view_layer.material_override
+        self._notices = notices
+        self._index: dict[int, int] = {}
+        self._materials: list[Material] = []
+        self.images = Images(notices, depsgraph.scene_eval.frame_current)
+        self.colors = Colors(self.images, notices)
+
+    def index_of(self, material: bpy.types.Material | None) -> int:
+        """Index of a material; None gives Cycles' default, grey diffuse 0.8. The view layer's override stands for every one."""
+        material = self._override or material
+        key = 0 if material is None else material.original.as_pointer()
+        if key not in self._index:
+            made = Material(DEFAULT) if material is None else self._read(material.evaluated_get(self._depsgraph))
+            self._index[key] = len(self._materials)
+            self._materials.append(made)
+        return self._index[key]
+
+    def result(self) -> tuple[Material, ...]:
+        """All materials met so far."""
+        return tuple(self._materials)
+
+    def textures(self) -> tuple[Texture, ...]:
+        """All textures that the materials refer to."""
+        return tuple(self.images.textures)
+
+    def _read(self, material: bpy.types.Material) -> Material:
+        self.colors.owner = f'Material "{material.name}"'
+        if not uses_nodes(material):
+            return Material(material.name, (self._safe(Lobe("diffuse", Color.of(*material.diffuse_color[:3]))),))
+        place = surface(material.node_tree, "OUTPUT_MATERIAL")
+        if place is None:
+            self._tell("has no output node for Cycles; it is black, as there", "Add a Material Output whose target is All")
+            return Material(material.name, ())
+        self._leftovers(place)
+        lobes = merged(Shaders(self.colors).lobes(place, Color.of(1.0)))
+        return Material(material.name, self._bounded([self._safe(lobe) for lobe in lobes]))
+
+    def _tell(self, reason: str, remedy: str) -> None:
+        self._notices.add(self.colors.owner, reason, remedy)
+
+    def _leftovers(self, place: Place) -> None:
+        """Volume and displacement are left out and named."""
+        for name in ("Volume", "Displacement"):
+            socket = place.sibling(name)
+            if socket is not None and is_linked(socket):
+                self._tell(f"has a {name.lower()} shader, which is left out", "Apply displacement by a modifier")
+
+    def _safe(self, lobe: Lobe) -> Lobe:
+        """The lobe with numbers that can be computed with: albedo 0 to 1, emission 0 to a large bound, no NaN."""
+        emission = lobe.kind == "emission"
+        top = LARGEST_EMISSION if emission else 1.0
+        word = "emission" if emission else "albedo"
+        color = lobe.color
+        if color.is_constant:
+            clamped = tuple(_clamp(c, top) for c in color.constant)
+            if any(abs(a - b) > 1e-6 or a != a for a, b in zip(color.constant, clamped, strict=True)):
+                self._tell(f"has an {word} outside 0 to {top:g}; it is clamped", f"Choose an {word} of 0 to {top:g}")
+            color = Color.of(*clamped)
+        else:
+            color = self._safe_textured(color, top, word)
+        roughness, ior = lobe.roughness if math.isfinite(lobe.roughness) else 1.0, lobe.ior if math.isfinite(lobe.ior) else 1.45
+        return replace(lobe, color=color, roughness=roughness, ior=ior)
+
+    def _safe_textured(self, color: Color, top: float, word: str) -> Color:
+        """Textured colours: no infinite constants, and single images that leave the range are clamped."""
+        terms = tuple(Term(tuple(_clamp_signed(c) for c in t.constant), t.sources) for t in color.terms)  # type: ignore[arg-type]
+        color = Color(terms)
+        if any(s.kind != "image" for t in terms for s in t.sources) or len(terms) > 1 or len(terms[0].sources) > 1:
+            return color
+        source = terms[0].sources[0]
+        pixels = self.images.textures[source.texture].pixels
+        channels = pixels[:, :, 3:] if source.alpha else pixels[:, :, :3]
+        values = np.array(terms[0].constant) * np.stack([channels.min(axis=(0, 1)), channels.max(axis=(0, 1))])
+        if values.min() < 0.0 or values.max() > top + 1e-4:
+            self._tell(f"has an {word} outside 0 to {top:g} in its image; it is clamped", f"Use an image within 0 to {top:g}")
+            try:
+                return mapped(color, lambda c: np.clip(c, 0.0, top), ("range", top), self.images)
+            except NotPolynomial:
+                return color
+        return color
+
+    def _bounded(self, lobes: list[Lobe]) -> tuple[Lobe, ...]:
+        """All lobes together must not reflect and pass more than they receive: constants over 1 are scaled down with a notice."""
+        total = np.zeros(3)
+        for lobe in lobes:
+            if lobe.kind not in BESIDE and lobe.color.is_constant:
+                total += lobe.color.constant
+        worst = float(total.max())
+        if worst <= 1.0 + 1e-5:
+            return tuple(lobe for lobe in lobes if not lobe.color.is_black)
+        self._tell(
+            f"reflects and passes {worst:.3g} times what it receives; it is scaled down to 1", "Use Mix Shader instead of Add Shader"
+        )
+        out = [x if x.kind in BESIDE else replace(x, color=x.color * (1.0 / worst)) for x in lobes]
+        return tuple(lobe for lobe in out if not lobe.color.is_black)
+
+
+def _clamp(x: float, top: float) -> float:
+    return min(max(x, 0.0), top) if x == x else 0.0
+
+
+def _clamp_signed(x: float) -> float:
+    return min(max(x, -LARGEST_EMISSION), LARGEST_EMISSION) if x == x else 0.0

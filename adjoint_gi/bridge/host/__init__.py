@@ -1,0 +1,1 @@
+"""Blender itself: versions, files, preferences, notices."""

@@ -1,0 +1,1 @@
+"""What bakes leave in the file."""

@@ -1,0 +1,280 @@
+"""Results as a float colour attribute on the vertices or corners of a mesh."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...core.base.atomic import require_finite
+from ...core.base.errors import Notice, TargetError, WriteError
+from . import links as targets
+
+# Custom property of the mesh: key -> JSON list of our attributes, the one written last at the end. Each has the name that was wanted,
+# the name it has, and a checksum of what was written, by which it is found after the user has renamed it.
+STORED = "adjoint_gi_attributes"
+OBJECT = "object"  # key of the link to the separate result object
+# Modifiers that move vertices or change data but never add, remove or reorder any.
+KEEPS_TOPOLOGY = {
+    "ARMATURE",
+    "CAST",
+    "CLOTH",
+    "CORRECTIVE_SMOOTH",
+    "CURVE",
+    "DATA_TRANSFER",
+    "DISPLACE",
+    "HOOK",
+    "LAPLACIANDEFORM",
+    "LAPLACIANSMOOTH",
+    "LATTICE",
+    "MESH_CACHE",
+    "MESH_DEFORM",
+    "NORMAL_EDIT",
+    "SHRINKWRAP",
+    "SIMPLE_DEFORM",
+    "SMOOTH",
+    "SOFT_BODY",
+    "SURFACE_DEFORM",
+    "UV_PROJECT",
+    "UV_WARP",
+    "VERTEX_WEIGHT_EDIT",
+    "VERTEX_WEIGHT_MIX",
+    "VERTEX_WEIGHT_PROXIMITY",
+    "WARP",
+    "WAVE",
+    "WEIGHTED_NORMAL",
+}
+
+
+@dataclass(frozen=True)
+class WrittenAttribute:
+    """Where a result went: the object (another one for `new_object`) and the name of the attribute.
+
+    `taken` says that a new attribute got another name than was wanted, because something else has that one.
+    """
+
+    object: bpy.types.Object
+    attribute: str
+    taken: Notice | None = None
+
+
+def check_attribute_target(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, new_object: bool = False) -> None:
+    """Raise TargetError unless a result for the evaluated mesh of `obj` can be written to its own mesh (or to a new object).
+
+    Called before the bake, because an answer after it would come too late.
+    """
+    targets.check_object(obj)
+    if new_object:
+        return
+    targets.check_mesh(obj)
+    others = targets.sharing(obj)
+    if others:
+        names = ", ".join(o.name for o in others[:4]) + (f" and {len(others) - 4} more" if len(others) > 4 else "")
+        raise TargetError(
+            obj.name, f'shares its mesh "{obj.data.name}" with {names}, and an attribute can hold one result only',
+            "Make it a single user, bake to textures, or make a new object",
+        )  # fmt: skip
+    if not same_topology(obj, depsgraph):
+        active = [m.name for m in obj.modifiers if _enabled(m) and m.type not in KEEPS_TOPOLOGY]
+        cause = "modifier " + ", ".join(active) if active else "its evaluation"
+        raise TargetError(
+            obj.name, f"{cause} changes its vertices or faces, so values cannot go back to the original mesh",
+            "Apply the modifier, bake to a texture, or make a new object",
+        )  # fmt: skip
+
+
+def same_topology(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether the evaluated mesh has the vertices and corners of the original in the same order."""
+    original, evaluated = obj.data, obj.evaluated_get(depsgraph)
+    mesh = evaluated.to_mesh()
+    try:
+        if mesh is None or len(mesh.vertices) != len(original.vertices) or len(mesh.loops) != len(original.loops):
+            return False
+        return np.array_equal(_corner_vertices(mesh), _corner_vertices(original))
+    finally:
+        evaluated.to_mesh_clear()
+
+
+def write_attribute(
+    obj: bpy.types.Object,
+    key: str,
+    domain: str,
+    values: np.ndarray,
+    covered: np.ndarray,
+    *,
+    name: str = "Adjoint GI",
+    depsgraph: bpy.types.Depsgraph | None = None,
+    new_object: bool = False,
+) -> WrittenAttribute:
+    """Write `values` (n, 3) for the POINT or CORNER `domain` of the evaluated mesh, with `covered` (n,) as alpha.
+
+    Our own attribute for `key` that was made for this `name` is updated, also when the user has renamed it; otherwise a new one is
+    made, which gets a number if something else has the name already.
+    With `new_object` the evaluated mesh becomes the mesh of a separate object "NAME GI", hidden from renders so that it does not
+    take part in the next bake. Raises TargetError when the mesh has changed since it was read, WriteError on a failed read-back.
+    """
+    if domain not in ("POINT", "CORNER"):
+        raise TargetError(obj.name, f"{domain!r} is not a domain of color attributes", "Choose POINT or CORNER")
+    depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
+    values, covered = np.asarray(values, np.float32), np.asarray(covered, np.float32)
+    if values.ndim != 2 or values.shape[1] != 3 or covered.shape != values.shape[:1]:
+        raise WriteError(obj.name, f"values {values.shape} and coverage {covered.shape} do not fit together", "Give (n, 3) and (n,)")
+    require_finite(f"{obj.name} {name}", values)
+    check_attribute_target(obj, depsgraph, new_object)
+    if new_object:
+        mesh = bpy.data.meshes.new_from_object(obj.evaluated_get(depsgraph), preserve_all_data_layers=True, depsgraph=depsgraph)
+    else:
+        mesh = obj.data
+    expected = len(mesh.vertices) if domain == "POINT" else len(mesh.loops)
+    if len(values) != expected:
+        if new_object:
+            bpy.data.meshes.remove(mesh)
+        raise TargetError(
+            obj.name, f"has {expected} values to fill but the result has {len(values)}: it was edited meanwhile", "Bake again"
+        )
+    target = place_result_object(obj, mesh) if new_object else obj
+
+    colors = np.concatenate([values, covered[:, None]], axis=1)
+    return fill_attribute(target, key, domain, name, colors)
+
+
+def fill_attribute(obj: bpy.types.Object, key: str, domain: str, name: str, colors: np.ndarray) -> WrittenAttribute:
+    """Write `colors` (n, 4) float32 to our attribute for `key` and `name` on `obj`, new or reused. Raises TargetError, WriteError."""
+    mesh = obj.data
+    attribute, is_new = _attribute(mesh, key, domain, name)
+    data = np.ascontiguousarray(colors, np.float32)
+    attribute.data.foreach_set("color", data.ravel())
+    mesh.update()
+    made = attribute.name
+    if not np.array_equal(_values(attribute).view(np.uint32), data.ravel().view(np.uint32)):
+        raise WriteError(obj.name, f'attribute "{made}" does not hold the values that were written', "Bake again")
+    others = [e for e in _entries(mesh, key) if made != e["name"] and name != e["wanted"]]
+    if mesh.get(STORED) is None:
+        mesh[STORED] = {}
+    mesh[STORED][key] = json.dumps([*others, {"wanted": name, "name": made, "sum": zlib.crc32(data.tobytes())}])
+    taken = None
+    if is_new and made != name:
+        reason = f'has something else called "{name}", so the result is in the attribute "{made}"'
+        taken = Notice(obj.name, reason, "Rename one of them, or choose another name in Output", "warning")
+    return WrittenAttribute(obj, made, taken)
+
+
+def linked_attribute(obj: bpy.types.Object, key: str) -> str | None:
+    """Name of our attribute for `key` on the object's mesh, the one written last if there are several, or None."""
+    found = [_find(obj.data, entry) for entry in _entries(obj.data, key)[-1:]] if obj.type == "MESH" else []
+    return found[0].name if found and found[0] is not None else None
+
+
+def result_object(obj: bpy.types.Object) -> bpy.types.Object | None:
+    """The separate object that holds the result of `obj`, or None."""
+    entry = targets.link(obj, OBJECT)
+    return entry.get("made") if entry is not None else None
+
+
+def remove_attributes(obj: bpy.types.Object) -> int:
+    """Remove all our attributes from the object's mesh; returns how many."""
+    mesh, removed = obj.data, 0
+    stored = mesh.get(STORED)
+    if stored is None:
+        return 0
+    for key in list(stored.keys()):
+        for entry in _entries(mesh, key):
+            attribute = _find(mesh, entry)
+            if attribute is not None:
+                mesh.attributes.remove(attribute)
+                removed += 1
+    del mesh[STORED]
+    return removed
+
+
+def remove_result_object(obj: bpy.types.Object) -> bool:
+    """Remove the separate object that holds the result of `obj`, with its mesh; returns whether there was one."""
+    made = result_object(obj)
+    targets.forget(obj, [OBJECT])
+    if made is None:
+        return False
+    mesh = made.data
+    bpy.data.objects.remove(made)
+    if mesh.users == 0:
+        bpy.data.meshes.remove(mesh)
+    return True
+
+
+def _entries(mesh: bpy.types.Mesh, key: str) -> list[dict[str, Any]]:
+    """What is stored of our attributes for `key`, the one written last at the end."""
+    stored = mesh.get(STORED)
+    return json.loads(stored[key]) if stored is not None and key in stored else []
+
+
+def _find(mesh: bpy.types.Mesh, entry: dict[str, Any]) -> bpy.types.Attribute | None:
+    """The attribute of a stored entry: by its name, or, where none has that, the one that still holds what was written."""
+    found = mesh.attributes.get(entry["name"])
+    if found is not None:
+        return found if found.data_type == "FLOAT_COLOR" else None
+    # Attributes have no identity but their name.
+    colors = [a for a in mesh.color_attributes if a.data_type == "FLOAT_COLOR"]
+    return next((a for a in colors if zlib.crc32(_values(a).tobytes()) == entry["sum"]), None)
+
+
+def _values(attribute: bpy.types.Attribute) -> np.ndarray:
+    """(4 n,) float32 of a colour attribute."""
+    out = np.empty(4 * len(attribute.data), np.float32)
+    attribute.data.foreach_get("color", out)
+    return out
+
+
+def _attribute(mesh: bpy.types.Mesh, key: str, domain: str, name: str) -> tuple[bpy.types.Attribute, bool]:
+    """Our attribute for `key` and `name`, and whether it is new; which colours are active and rendered stays as chosen by the user."""
+    colors = mesh.color_attributes
+    chosen = colors.active_color_name, colors.default_color_name
+    old = next((_find(mesh, entry) for entry in _entries(mesh, key) if entry["wanted"] == name), None)
+    if old is not None and old.domain == domain:
+        return old, False
+    was_chosen, title = False, name
+    if old is not None:  # from a bake to the other domain
+        was_chosen, title = old.name in chosen, old.name
+        mesh.attributes.remove(old)
+    made = mesh.attributes.new(title, "FLOAT_COLOR", domain)
+    if made is None:
+        raise TargetError(mesh.name, f'no attribute "{name}" could be added', "Remove another attribute or choose another name")
+    made_name = made.name
+    if chosen[0] and not was_chosen:
+        colors.active_color_name = chosen[0]
+    if chosen[1] and not was_chosen:
+        colors.default_color_name = chosen[1]
+    return mesh.attributes[made_name], old is None
+
+
+def place_result_object(obj: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
+    """The separate object of `obj`, new or reused, with `mesh` as its mesh and the place of `obj`."""
+    mesh.name = obj.name + " GI"
+    made = result_object(obj)
+    if made is None:
+        made = bpy.data.objects.new(obj.name + " GI", mesh)
+        made.hide_render = True
+        made[targets.MADE] = True
+        targets.store(obj, OBJECT, made=made)
+    else:
+        old = made.data
+        made.data = mesh
+        if old != mesh and old.users == 0:
+            bpy.data.meshes.remove(old)
+    if not made.users_collection:  # new, or deleted by the user, when the link alone keeps it
+        for collection in obj.users_collection:
+            collection.objects.link(made)
+    made.matrix_world = obj.matrix_world.copy()
+    return made
+
+
+def _enabled(modifier: bpy.types.Modifier) -> bool:
+    return modifier.show_viewport or modifier.show_render
+
+
+def _corner_vertices(mesh: bpy.types.Mesh) -> np.ndarray:
+    out = np.empty(len(mesh.loops), np.int32)
+    mesh.loops.foreach_get("vertex_index", out)
+    return out

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Results of element methods as objects made of the elements: walls cut into pieces, with a colour wherever pieces meet."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ...core.base.atomic import require_finite
+from ...core.base.errors import TargetError, WriteError
+from ...core.elements.mesh import ElementMesh
+from ...core.scene.arrays import ObjectArrays, SceneArrays
+from .attribute import WrittenAttribute, check_attribute_target, fill_attribute, place_result_object, result_object
+from .preview import own_material
+
+
+def write_elements(
+    obj: bpy.types.Object,
+    key: str,
+    domain: str,
+    scene: SceneArrays,
+    index: int,
+    mesh: ElementMesh,
+    values: np.ndarray,
+    covered: np.ndarray,
+    *,
+    name: str = "Adjoint GI",
+    depsgraph: bpy.types.Depsgraph | None = None,
+) -> WrittenAttribute:
+    """Make or update the object "NAME GI" of `obj` from the faces of `mesh` that lie on object `index` of `scene`.
+
+    `values` (nv, 3) and `covered` (nv,), which becomes alpha, are those of all vertices of `mesh`; `domain` is POINT or CORNER.
+    The object stands where `obj` stands, has its materials, is hidden from renders and is found by the link stored on `obj`.
+    Raises TargetError when the mesh has changed since it was read, WriteError on a failed read-back.
+    """
+    if domain not in ("POINT", "CORNER"):
+        raise TargetError(obj.name, f"{domain!r} is not a domain of color attributes", "Choose POINT or CORNER")
+    depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
+    values, covered = np.asarray(values, np.float32), np.asarray(covered, np.float32)
+    if values.shape != mesh.vertices.shape or covered.shape != values.shape[:1]:
+        raise WriteError(obj.name, f"values {values.shape} and coverage {covered.shape} do not fit the elements", "Bake again")
+    require_finite(f"{obj.name} {name}", values)
+    check_attribute_target(obj, depsgraph, new_object=True)
+
+    # Step 1: the faces of this object, and its vertices from 0 on.
+    face = np.flatnonzero(np.asarray(scene.object)[mesh.triangle] == index)
+    size = np.diff(mesh.start)[face]
+    start = np.cumsum(size) - size
+    take = np.repeat(mesh.start[face] - start, size) + np.arange(int(size.sum()))
+    used, corners = np.unique(mesh.corners[take], return_inverse=True)
+    corners = corners.reshape(-1).astype(np.int32)
+    slots = _slots(obj, depsgraph, scene.objects[index], np.asarray(scene.polygon)[mesh.triangle[face]])
+
+    # Step 2: vertices in the space of the object, so that it can be moved like the original. A flat matrix has no inverse.
+    matrix = np.array(obj.matrix_world, np.float64)
+    flat = not np.linalg.cond(matrix[:3, :3]) < 1e10
+    matrix = np.eye(4) if flat else matrix
+    inverse = np.linalg.inv(matrix)
+    vertices = mesh.vertices[used] @ inverse[:3, :3].T + inverse[:3, 3]
+    order = np.arange(len(corners))
+    if np.linalg.det(matrix) < 0:
+        # A mirrored object shows its faces the other way round: turn each, its first corner stays.
+        local = order - np.repeat(start, size)
+        order = np.repeat(start, size) + np.where(local > 0, np.repeat(size, size) - local, 0)
+    corners = corners[order]
+
+    # Step 3: the mesh that is there already if it has the same faces; other results stay on it then.
+    old = result_object(obj)
+    data = old.data if old is not None and _same(old.data, len(used), corners, start) else None
+    if data is None:
+        data = bpy.data.meshes.new(obj.name + " GI")
+        data.vertices.add(len(used))
+        data.loops.add(len(corners))
+        data.polygons.add(len(face))
+        data.loops.foreach_set("vertex_index", corners)
+        data.polygons.foreach_set("loop_start", start.astype(np.int32))
+        for i, slot in enumerate(obj.material_slots):
+            data.materials.append(own_material(obj, i, slot.material, obj.data.materials[i])[0])
+        # Vertices are double along hard edges, so smooth shading is right everywhere.
+        data.polygons.foreach_set("use_smooth", np.ones(len(face), bool))
+    data.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
+    data.polygons.foreach_set("material_index", slots)
+    data.update(calc_edges=True)
+
+    # Step 4: the object, and the colours.
+    target = place_result_object(obj, data)
+    if flat:
+        target.matrix_world = Matrix.Identity(4)
+    colors = np.concatenate([values, covered[:, None]], axis=1)[used]
+    return fill_attribute(target, key, domain, name, colors if domain == "POINT" else colors[corners])
+
+
+def _slots(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, arrays: ObjectArrays, polygon: np.ndarray) -> np.ndarray:
+    """(nf,) int32 material slots of these polygons of the evaluated mesh of `obj`."""
+    evaluated = obj.evaluated_get(depsgraph)
+    mesh = evaluated.to_mesh()
+    try:
+        if mesh is None or len(mesh.polygons) != arrays.polygon_count:
+            raise TargetError(obj.name, "was edited meanwhile, so its elements do not fit it", "Bake again")
+        slots = np.empty(len(mesh.polygons), np.int32)
+        mesh.polygons.foreach_get("material_index", slots)
+    finally:
+        evaluated.to_mesh_clear()
+    return np.ascontiguousarray(slots[polygon])
+
+
+def _same(mesh: bpy.types.Mesh, vertices: int, corners: np.ndarray, start: np.ndarray) -> bool:
+    """Whether `mesh` has just these faces."""
+    if (len(mesh.vertices), len(mesh.loops), len(mesh.polygons)) != (vertices, len(corners), len(start)):
+        return False
+    there, first = np.empty(len(corners), np.int32), np.empty(len(start), np.int32)
+    mesh.loops.foreach_get("vertex_index", there)
+    mesh.polygons.foreach_get("loop_start", first)
+    return np.array_equal(there, corners) and np.array_equal(first, start)

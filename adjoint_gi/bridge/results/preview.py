@@ -1,0 +1,174 @@
+"""Showing a result on the objects, and putting the user's materials back exactly.
+
+Nothing of the user's materials or meshes is changed. Every material slot of an object is switched to the object (slots linked to
+the object belong to it alone, so objects that share a mesh show their own results) and filled with a material of ours. What was
+there is stored in a custom property of the object, which is saved with the file, so it can be restored after loading.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+
+import bpy
+import numpy as np
+
+from ...core.base.errors import TargetError
+from . import links as targets
+from .attribute import linked_attribute
+from .preview_material import aim, make_material
+
+STATE = "adjoint_gi_preview"  # custom property of the object: its slots before
+ADDED = "adjoint_gi_slot"  # custom property of a mesh without slots, which got one for the preview
+OURS = "adjoint_gi_material"  # custom property of our materials
+ORIGINAL = "adjoint_gi_original"  # custom property of our materials: the one of the user that each stands for, if any
+
+
+def show(objects: Sequence[bpy.types.Object], key: str, *, attribute: str = "") -> None:
+    """Show the image linked for `key`, or the colour attribute `attribute`, on `objects`.
+
+    "irradiance", "direct" and "indirect" are multiplied by each material's base colour and divided by pi; "radiosity" and "emitted"
+    are shown as they are, divided by pi: both are radiance then. Showing again replaces what is shown. Raises TargetError when an
+    object has no such result or cannot be changed; then nothing has changed.
+    """
+    # Step 1: everything that can fail.
+    sources = []
+    for obj in objects:
+        targets.check_object(obj)
+        entry = targets.link(obj, key)
+        name = attribute or linked_attribute(obj, key) or ""
+        if not attribute and entry is not None and entry.get("image") is not None:
+            sources.append((obj, entry, ""))
+        elif name and name in obj.data.color_attributes:
+            sources.append((obj, None, name))
+        else:
+            raise TargetError(obj.name, f"has no result for {key}", "Bake it first")
+        if not obj.material_slots:
+            targets.check_mesh(obj)
+
+    # Step 2: the slots as the user has them.
+    restore(objects)
+    for obj, entry, name in sources:
+        if not obj.material_slots:
+            obj.data.materials.append(None)
+            obj.data[ADDED] = True
+        originals = [slot.material for slot in obj.material_slots]
+        _remember(obj)
+        obj[STATE]["key"] = key
+        # Step 3: ours in their place; two slots with the same material share one of ours.
+        made: dict[str, bpy.types.Material] = {}
+        for slot, material in zip(obj.material_slots, originals, strict=True):
+            title = material.name_full if material else ""
+            if title not in made:
+                made[title] = make_material(obj, key, material, entry, name)
+                made[title][OURS] = True
+                if material is not None:
+                    made[title][ORIGINAL] = material
+            slot.link = "OBJECT"
+            slot.material = made[title]
+
+
+def restore(objects: Sequence[bpy.types.Object]) -> int:
+    """Put the user's materials back on `objects`; returns how many objects had a preview."""
+    count = 0
+    for obj in objects:
+        state = obj.get(STATE)
+        if state is None:
+            continue
+        count += 1
+        ours = {material for _, material in _put_back(obj) if material is not None}
+        del obj[STATE]
+        for material in ours:
+            if material.users == 0:
+                bpy.data.materials.remove(material)
+        _drop_added_slot(obj)
+    return count
+
+
+def follow(obj: bpy.types.Object, key: str, attribute: str = "") -> None:
+    """Where `obj` shows an image (or an attribute) for `key`, have it show its present one (or `attribute`).
+
+    A bake may have given it another image, UV layer, place in an atlas, or name.
+    """
+    state = obj.get(STATE)
+    if state is None or state.get("key") != key:
+        return
+    entry = None if attribute else targets.link(obj, key)
+    for material in {s.material for s in obj.material_slots if s.material and s.material.get(OURS)}:
+        aim(material, entry, attribute)
+
+
+def shown(obj: bpy.types.Object) -> bool:
+    """Whether `obj` shows a preview."""
+    return obj.get(STATE) is not None
+
+
+def own_material(
+    obj: bpy.types.Object, index: int, material: bpy.types.Material | None, below: bpy.types.Material | None
+) -> tuple[bpy.types.Material | None, bool]:
+    """What the user has where `material` is, in slot `index` of `obj`, and whether that is lost because it was deleted.
+
+    Behind one of ours it is what `restore` would put back; `below` is the material that the mesh has in this slot. Where nothing is
+    remembered of the object, as in a mesh joined of several, it is what our material was made for.
+    """
+    if material is None or not material.get(OURS):
+        return material, False
+    stands_for = material.original.get(ORIGINAL, "")  # None when it was deleted, "" when the slot was empty
+    state = obj.original.get(STATE)
+    if state is None or f"link{index}" not in state or (below is not None and below.get(OURS)):
+        own = stands_for or None
+    else:
+        own = below if state[f"link{index}"] == "DATA" else state.get(f"material{index}")
+    return own, own is None and stands_for is None
+
+
+@contextlib.contextmanager
+def lifted(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
+    """The user's materials on `objects` for a while, as for a render by Cycles, and the preview again afterwards."""
+    ours = [(obj, index, material) for obj in objects if shown(obj) for index, material in _put_back(obj)]
+    try:
+        yield
+    finally:
+        for obj, index, material in ours:
+            obj.material_slots[index].link = "OBJECT"
+            obj.material_slots[index].material = material
+
+
+def _put_back(obj: bpy.types.Object) -> list[tuple[int, bpy.types.Material | None]]:
+    """Put the user's materials back into the slots that are ours; returns their indices with what was in them."""
+    state, out = obj[STATE], []
+    for index, slot in enumerate(obj.material_slots):
+        if f"link{index}" not in state or (slot.material is not None and not slot.material.get(OURS)):
+            continue  # a slot or material that the user has put there meanwhile
+        out.append((index, slot.material))
+        slot.link = "OBJECT"
+        slot.material = state.get(f"material{index}")
+        slot.link = state[f"link{index}"]
+    return out
+
+
+def _remember(obj: bpy.types.Object) -> None:
+    """Store the link of every slot and the material that the object itself (not its mesh) holds there."""
+    obj[STATE] = {"count": len(obj.material_slots)}
+    for index, slot in enumerate(obj.material_slots):
+        link = slot.link
+        slot.link = "OBJECT"  # only so can the object's own material be read
+        own = slot.material
+        slot.link = link
+        obj[STATE][f"link{index}"] = link
+        if own is not None:
+            obj[STATE][f"material{index}"] = own  # counts as a user, so a purge cannot delete it
+
+
+def _drop_added_slot(obj: bpy.types.Object) -> None:
+    """Remove the slot that was added to a mesh without any, when the last object that shows it is restored."""
+    mesh = obj.data
+    if mesh.get(ADDED) is None or any(shown(other) for other in targets.sharing(obj)):
+        return
+    if len(mesh.materials) == 1 and mesh.materials[0] is None:
+        index = np.zeros(len(mesh.polygons), np.int32)
+        mesh.polygons.foreach_get("material_index", index)
+        mesh.materials.clear()
+        if index.any():  # clearing sets all of them to 0
+            mesh.polygons.foreach_set("material_index", index)
+    del mesh[ADDED]

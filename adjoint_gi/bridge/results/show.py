@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The last bake of a scene as a whole: which objects hold its result, showing it on them, and taking that back.
+
+An object "NAME GI" stands exactly where its original stands, so of the two only the one that shows the result is left visible in the
+viewport. The other is hidden by the eye of one view layer, and the one that is seen takes its place in the selection. Both are
+remembered in a custom property of the hidden object, which is saved with the file. For a bake nothing is hidden by this.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+import bpy
+
+from ...core.base.errors import TargetError
+from ..host.notices import listed
+from . import links as targets
+from . import preview
+from .attribute import linked_attribute, result_object
+
+HIDDEN = "adjoint_gi_hidden"  # custom property of an object that was hidden here: where, in favour of which, and what was selected
+
+
+def holders(scene: bpy.types.Scene, quantity: str, target: str, new_object: bool = False) -> list[bpy.types.Object]:
+    """The mesh objects of `scene` that hold a result for `quantity`, as a texture or as an attribute, on themselves or made for it."""
+    made = new_object and target == "attribute"
+    objects = [o for o in scene.objects if o.type == "MESH" and targets.is_result(o) == made]
+    found = targets.link if target == "texture" else linked_attribute
+    return [o for o in objects if found(o, quantity) is not None]
+
+
+def show(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer | None = None) -> int:
+    """Show the last bake on all objects that hold it; returns their number. Raises TargetError when there are none.
+
+    In `view_layer`, the scene's first one by default, what stands in the same place is hidden.
+    """
+    record = scene.adjoint_gi.result
+    objects = holders(scene, record.quantity, record.target, record.new_object)
+    if not objects:
+        raise TargetError(scene.name, f"has no object with a baked {record.quantity or 'result'}", "Bake to a texture or attribute first")
+    if record.target == "texture":
+        preview.show(objects, record.quantity)
+    else:
+        for obj in objects:
+            preview.show([obj], record.quantity, attribute=linked_attribute(obj, record.quantity))
+    layer = view_layer or scene.view_layers[0]
+    layer.update()  # so that it knows what was made last
+    for obj in scene.objects:
+        made = result_object(obj)
+        if made is not None and (obj in objects or made in objects):
+            hidden, seen = (obj, made) if made in objects else (made, obj)
+            _reveal(seen)
+            _hide(hidden, seen, scene, layer)
+    return len(objects)
+
+
+def restore(scene: bpy.types.Scene) -> int:
+    """Put the materials of all objects of `scene` back, and show again what `show` hid; returns how many objects showed a result."""
+    for obj in scene.objects:
+        _reveal(obj)
+    return preview.restore([o for o in scene.objects if o.type == "MESH"])
+
+
+@contextlib.contextmanager
+def unhidden(view_layer: bpy.types.ViewLayer) -> Iterator[None]:
+    """What `show` hid in `view_layer` is visible for a while, so that the depsgraph lists it; afterwards all is as before."""
+    hidden = [o for o in view_layer.objects if o.get(HIDDEN) and view_layer in _layers(o) and o.hide_get(view_layer=view_layer)]
+    try:
+        _set_hidden(hidden, False, view_layer)
+        yield
+    finally:
+        _set_hidden(hidden, True, view_layer)
+
+
+@contextlib.contextmanager
+def put_aside(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Iterator[None]:
+    """The scene as the user has it for a while, without anything that `show` changed."""
+    with unhidden(view_layer), preview.lifted([o for o in scene.objects if o.type == "MESH"]):
+        yield
+
+
+def selected(view_layer: bpy.types.ViewLayer) -> tuple[str, ...]:
+    """Names of the selected mesh objects. Results are none of them; one that is seen in place of its original stands for it."""
+
+    def is_selected(obj: bpy.types.Object) -> bool:
+        state = obj.get(HIDDEN)
+        seen = state.get("seen") if state is not None and view_layer in _layers(obj) else None
+        return (seen if seen is not None and obj.hide_get(view_layer=view_layer) else obj).select_get(view_layer=view_layer)
+
+    return tuple(o.name for o in view_layer.objects if o.type == "MESH" and not targets.is_result(o) and is_selected(o))
+
+
+def nothing_selected(view_layer: bpy.types.ViewLayer) -> tuple[str, str]:
+    """Reason and remedy for a selection in which there is nothing to bake."""
+    ours = [o for o in view_layer.objects.selected if targets.is_result(o)]
+    if not ours:
+        return "is on, but no mesh object is selected", "Select what to bake, or turn it off"
+    made_of = [o.name for o in view_layer.objects if result_object(o) in ours]
+    what = f"what they were made of ({listed(made_of)})" if made_of else "other objects"
+    return f"is on, but only results are selected ({listed([o.name for o in ours])})", f"Select {what}, or turn it off"
+
+
+def _hide(obj: bpy.types.Object, seen: bpy.types.Object, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
+    """Hide `obj` in favour of `seen` and remember it; not what is hidden already or worked on. A result that is seen in place of its
+    original takes its place in the selection too."""
+    there = {o.session_uid for o in layer.objects}
+    if not {obj.session_uid, seen.session_uid} <= there or obj.hide_get(view_layer=layer) or not seen.visible_get(view_layer=layer):
+        return
+    if obj.mode != "OBJECT" or not obj.is_editable:
+        return
+    made, chosen = obj if targets.is_result(obj) else seen, obj.select_get(view_layer=layer)
+    obj[HIDDEN] = {"layer": layer.name, "made_selected": made.select_get(view_layer=layer)}
+    obj[HIDDEN]["scene"], obj[HIDDEN]["seen"] = scene, seen
+    obj.hide_set(True, view_layer=layer)
+    if made == seen:
+        seen.select_set(chosen, view_layer=layer)
+
+
+def _reveal(obj: bpy.types.Object) -> None:
+    """Undo `_hide`; what is selected of the two stays so."""
+    state = obj.get(HIDDEN)
+    if state is None:
+        return
+    seen = state.get("seen")
+    made = obj if targets.is_result(obj) else seen
+    for layer in _layers(obj):
+        objects = {o.session_uid for o in layer.objects}
+        if obj.session_uid not in objects:
+            continue
+        hidden = obj.hide_get(view_layer=layer)
+        obj.hide_set(False, view_layer=layer)
+        if hidden and seen is not None and seen.session_uid in objects:
+            if made == seen:
+                obj.select_set(made.select_get(view_layer=layer), view_layer=layer)
+            made.select_set(bool(state["made_selected"]), view_layer=layer)
+    del obj[HIDDEN]
+
+
+def _layers(obj: bpy.types.Object) -> list[bpy.types.ViewLayer]:
+    """The view layer in which `obj` was hidden; all of its scene when none has that name any more."""
+    state = obj[HIDDEN]
+    scene = state.get("scene")
+    if scene is None:
+        return []
+    layer = scene.view_layers.get(state["layer"])
+    return [layer] if layer is not None else list(scene.view_layers)
+
+
+def _set_hidden(objects: list[bpy.types.Object], hidden: bool, view_layer: bpy.types.ViewLayer) -> None:
+    for obj in objects:
+        obj.hide_set(hidden, view_layer=view_layer)
+    if objects:
+        view_layer.update()

@@ -1,0 +1,1 @@
+"""Methods against one reference within one budget, as numbers, pictures and a page."""

@@ -1,0 +1,1 @@
+"""T and T* on elements x directions."""

@@ -1,0 +1,175 @@
+"""Answers of methods that know radiance by direction: what reaches surface receivers, and what elements send towards the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..base.parallel import in_order
+from ..bsdf import table as bsdf
+from ..elements.answer import ElementAnswer, Parts, _sum
+from ..lights.direct import direct_irradiance
+from ..lights.emitters import Emitters
+from ..radiosity.shared import RadiositySettings, receiver_light
+from ..receivers.base import Points, Receivers
+from ..scene.world import Surface
+from ..walks.radiance import Walk, gather, take
+from .rays import DirectionalRays
+from .scattering import Scattering
+
+PIECE = 1 << 13  # receiver points in one piece of work
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """Light of some path lengths on element sides: irradiance (n, 3); base (n, 3), what of it reaches the diffuse base; shine
+    (n, size, 3), radiance that the other lobes send, by coefficients; exitance (n, 3), all that leaves, W m-2."""
+
+    irradiance: np.ndarray
+    base: np.ndarray
+    shine: np.ndarray
+    exitance: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Camera points of one chunk that lie on surfaces."""
+
+    receiver: np.ndarray
+    side: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+    local: np.ndarray  # (n, 3) towards the camera, in the side's frame
+    base: np.ndarray  # (n, 3) what the diffuse base makes of irradiance
+
+
+class DirectionalAnswer:
+    """As `ElementAnswer`, which it uses for irradiance. Cameras see diffuse light with the albedo of every point, other light
+    interpolated between elements and in direction, and direct light evaluated where they look if the settings say so.
+    """
+
+    def __init__(
+        self, caster: DirectionalRays, receivers: Receivers, emitters: Emitters, settings: RadiositySettings, scattering: Scattering
+    ) -> None:
+        e = caster.elements
+        self.caster, self.receivers, self.emitters, self.settings, self.scattering = caster, receivers, emitters, settings, scattering
+        low, high = settings.min_length, settings.max_length
+        self.camera = receivers.measure == "radiance"
+        self.plain = None if self.camera else ElementAnswer(e, receivers, receiver_light(e.world, emitters, settings), low, high)
+        self.table = bsdf.BsdfTable(e.world.scene)
+        self.sharp = self.camera and settings.direct_light == "receivers" and low <= 1 <= high
+        self.rays = 0
+        self._seen: list[_Seen] = []
+        n = receivers.count
+        self._emitted, self._albedo, self._direct, self._weight = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 1))
+
+    def prepare(self) -> Iterator[float]:
+        """Find all receiver points; yields the share done, 0 to 1, after each chunk."""
+        if self.plain is not None:
+            yield from self.plain.prepare()
+            self.rays = self.plain.rays
+            return
+        for seen, sums, rays in in_order(self._chunk, enumerate(self._pieces())):
+            self._seen.append(seen)
+            for total, (first, values) in zip((self._emitted, self._albedo, self._direct, self._weight), sums, strict=True):
+                total[first : first + len(values)] += values
+            self.rays += rays
+            yield float(first + len(values)) / max(1, self.receivers.count)
+
+    def _pieces(self) -> Iterator[Points]:
+        for points in self.receivers.sites():
+            for a in range(0, len(points.receiver), PIECE):
+                b = slice(a, a + PIECE)
+                arrays = (points.receiver, points.triangle, points.u, points.v, points.towards, points.origin, points.distance)
+                yield Points(*(x[b] for x in arrays), points.rays if a == 0 else 0)
+
+    def _chunk(self, item: tuple[int, Points]) -> tuple[_Seen, list, int]:
+        index, points = item
+        e, world = self.caster.elements, self.caster.world
+        on = np.flatnonzero(points.triangle >= 0)
+        towards = points.towards[on]
+        surface = world.surface(points.triangle[on], points.u[on], points.v[on], towards)
+        lobes = self.table.at(surface.triangle, surface.u, surface.v, surface.ns, surface.side, towards)
+        element, a, b = e.cell(surface.triangle, surface.u, surface.v)
+        side = 2 * element + (surface.side < 0)
+        emitted = np.zeros((len(points.receiver), 3), np.float32)
+        if self.settings.min_length == 0:
+            emitted[:] = self.emitters.background
+            emitted[on] = world.emission(surface)
+            distance = np.where(points.triangle < 0, np.float32(np.inf), points.distance)
+            emitted += self.emitters.along(points.origin, -points.towards, distance)
+        direct, rays = np.zeros((len(on), 3), np.float32), points.rays
+        if self.sharp and len(on):
+            # A generator for each chunk, so that neither threads nor order change the result.
+            direct, cast = self._direct_light(surface, lobes, self.scattering.shiny[element], np.random.default_rng([13, index]))
+            rays += cast
+        coat = 1 - self.table.coat_at(lobes.material, lobes.local[:, 2])
+        base = lobes.diffuse * (coat / np.float32(np.pi))[:, None]
+        seen = _Seen(points.receiver[on], side, a, b, self.caster.to_local(side, towards), base)
+        sums = [_sum(points.receiver, emitted), _sum(seen.receiver, world.albedo(surface)), _sum(seen.receiver, direct)]
+        sums.append(_sum(points.receiver, np.ones((len(points.receiver), 1))))
+        return seen, sums, rays
+
+    def _direct_light(self, surface: Surface, lobes: bsdf.Lobes, shiny: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, int]:
+        """(n, 3) radiance towards the camera of light straight from emitters; the rays cast."""
+        world, samples = self.caster.world, self.settings.light_samples
+        out, rays = np.zeros((len(shiny), 3), np.float32), 0
+        plain, rest = np.flatnonzero(~shiny), np.flatnonzero(shiny)
+        if len(plain):
+            light, rays = direct_irradiance(world, self.emitters, take(surface, plain), samples, rng)
+            out[plain] = light * lobes.diffuse[plain] / np.float32(np.pi)
+        if len(rest):
+            walk = Walk(world, self.emitters, self.table, 1, 1)
+            at, seen = take(surface, rest), lobes.take(rest)
+            for _ in range(samples):
+                found = gather(walk, at, seen, rng)
+                out[rest] += found.direct / np.float32(samples)
+                rays += found.rays
+        return out, rays
+
+    def parts(self, direct: Light, indirect: Light) -> Parts:
+        """The answer for light of path length 1 and of more. Camera: "elements" in `extra` is the radiosity of the elements."""
+        if self.plain is not None:
+            return self.plain.parts(direct.irradiance, indirect.irradiance)
+        e = self.caster.elements
+        lights = (indirect,) if self.sharp else (direct, indirect)
+        base = e.nodes.values(np.concatenate([x.base for x in lights], axis=1))
+        shines = None
+        if self.scattering.shiny.any():
+            shines = [e.nodes.values(x.shine.reshape(len(x.shine), -1)).reshape(-1, 3) for x in lights]
+        flat = np.repeat(e.emitted, 2, axis=0) * (self.settings.min_length == 0) + direct.exitance + indirect.exitance
+
+        def evaluate(s: _Seen) -> tuple[int, np.ndarray]:
+            light = e.nodes.at(base, s.side, s.a, s.b) * np.tile(s.base, (1, len(lights)))
+            rows = np.flatnonzero(self.scattering.shiny[s.side >> 1])
+            if shines is not None and len(rows):
+                light[rows] += self._shine(shines, s, rows)
+            # What harmonics swing below 0 is not light.
+            return _sum(s.receiver, np.concatenate([np.maximum(light, 0), flat[s.side]], axis=1))
+
+        total = np.zeros((self.receivers.count, 3 * len(lights) + 3))
+        for first, values in in_order(evaluate, self._seen):
+            total[first : first + len(values)] += values
+        share = 1.0 / np.maximum(self._weight, 1)
+        total *= share
+        direct_here = self._direct * share if self.sharp else total[:, :3]
+        arrays = (self._emitted * share, direct_here, total[:, -6:-3], self._albedo * share)
+        extra = {"elements": total[:, -3:].astype(np.float32)}
+        return Parts(*(x.astype(np.float32) for x in arrays), (self._weight[:, 0] > 0).astype(np.float32), self.rays, extra)
+
+    def _shine(self, shines: list[np.ndarray], s: _Seen, rows: np.ndarray) -> np.ndarray:
+        """(m, 3 k) radiance of the lobes other than diffuse towards the camera, interpolated between the nodes of the elements."""
+        e, size = self.caster.elements, self.scattering.size
+        side, a, b = s.side[rows], s.a[rows], s.b[rows]
+        index, weight = self.scattering.basis.basis(s.local[rows])
+        weight = weight.astype(np.float32)
+        node = 2 * e.nodes.of_element[side >> 1].astype(np.int64) + (side & 1)[:, None]
+        ab = np.where(e.is_quad[side >> 1], a * b, np.float32(0))
+        out = np.zeros((len(rows), 3 * len(shines)), np.float32)
+        for corner, share in enumerate((1 - a - b + ab, a - ab, b - ab, ab)):
+            at = node[:, corner, None] * size + index
+            for k, shine in enumerate(shines):
+                out[:, 3 * k : 3 * k + 3] += share[:, None] * np.einsum("nq,nqc->nc", weight, shine[at])
+        return out

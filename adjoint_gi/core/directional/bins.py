@@ -1,0 +1,128 @@
+"""Bins of the hemisphere: direction discretisation as Immel, Cohen and Greenberg 1986 have it, on either side of an element.
+
+A direction is given in the frame of a side: z along the side's normal, x horizontal. Bins are `rows` rings of equal steps of sin^2 theta,
+each cut into `columns` equal angles: every bin has the same projected solid angle, pi / count. So the mean over bins of a radiance,
+times pi, is its irradiance, and rays that are equal in number for every bin are distributed by the cosine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from .pairs import Pairs
+
+TWO_PI = 2 * np.pi
+SCALED = 1e-14  # sums of the scattering matrix are this close to the albedo
+SCALINGS = 400
+
+
+class Bins:
+    """A hemisphere cut into `rows` x `columns` bins; bin = row * columns + column, row 0 around the normal."""
+
+    def __init__(self, rows: int, columns: int) -> None:
+        self.rows, self.columns = rows, columns
+        self.size = rows * columns
+        self.solid = np.pi / self.size  # projected solid angle of each bin
+        self.unit = 1.0 / self.size  # share of one bin in a mean over the hemisphere
+
+    def of(self, w: np.ndarray) -> np.ndarray:
+        """(n,) int64 bin of unit directions `w` (n, 3) of a side's frame, z > 0."""
+        row = np.clip((self.rows * (w[:, 0] ** 2 + w[:, 1] ** 2)).astype(np.int64), 0, self.rows - 1)
+        turn = np.arctan2(w[:, 1], w[:, 0]) / TWO_PI % 1.0
+        return row * self.columns + np.minimum((self.columns * turn).astype(np.int64), self.columns - 1)
+
+    def directions(self, bin: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n, 3) float32 unit directions at places u, v (n,) in 0..1 of the bins (n,), uniform in projected solid angle."""
+        s = (bin // self.columns + u) / self.rows
+        phi = TWO_PI * (bin % self.columns + v) / self.columns
+        r = np.sqrt(s)
+        return np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(np.maximum(1 - s, 1e-7))], axis=1).astype(np.float32)
+
+    def basis(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Bins (n, 4) int64 around directions `w` (n, 3) and their weights (n, 4), bilinear between the middles of the bins."""
+        s = np.clip(self.rows * (w[:, 0] ** 2 + w[:, 1] ** 2).astype(np.float64) - 0.5, 0, self.rows - 1)
+        t = self.columns * (np.arctan2(w[:, 1], w[:, 0]) / TWO_PI % 1.0) - 0.5
+        row, low = s.astype(np.int64), np.floor(t)
+        above = np.minimum(row + 1, self.rows - 1)
+        fs, ft = s - row, t - low
+        here, there = low.astype(np.int64) % self.columns, (low.astype(np.int64) + 1) % self.columns
+        index = [row * self.columns + here, row * self.columns + there, above * self.columns + here, above * self.columns + there]
+        weight = [(1 - fs) * (1 - ft), (1 - fs) * ft, fs * (1 - ft), fs * ft]
+        return np.stack(index, axis=1), np.stack(weight, axis=1)
+
+    def constant(self, value: float = 1.0) -> np.ndarray:
+        """(size,) the radiance that is `value` in every direction."""
+        return np.full(self.size, float(value))
+
+    def dimming(self, curve: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """(size,) means over the bins of `curve(cosine)`."""
+        s = (np.arange(self.rows)[:, None] + (np.arange(16) + 0.5) / 16) / self.rows
+        mean = np.asarray(curve(np.sqrt(1 - s).ravel()), np.float64).reshape(s.shape).mean(axis=1)
+        return np.repeat(mean, self.columns)
+
+    def kernels(self, sides: Sequence[Pairs], measure: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+        """Scattering between bins from pairs seen from the front and from the back: L_out = same @ L_in + other @ L_in beyond.
+
+        same (2, size, size): row the bin of the outgoing, column of the incoming direction, both on the side of the first index;
+        other likewise for light that comes from the other side, or None. `measure` (2,) is the square of the index on each side, for
+        which the BRDF and BTDF are reciprocal; the matrix is made so too, with sums of rows that stay the albedo seen from the bin, so
+        that what arrives in a bin is never sent on as more. None leaves it as counted.
+        """
+        rows, columns = self.rows, self.columns
+        table = np.zeros((2, rows, 2, rows, columns))  # out: side, row; in: side, row, columns turned on
+        for side, pairs in enumerate(sides):
+            a, b = self.of(pairs.given), self.of(pairs.other)
+            r, turned = a // columns, (b % columns - a % columns) % columns
+            flat = ((pairs.through * rows + r) * rows + b // columns) * columns + turned
+            count = np.maximum(np.bincount(r, minlength=rows), 1)
+            met = np.bincount(flat, pairs.weight, 2 * rows * rows * columns).reshape(2, rows, rows, columns) / count[:, None, None]
+            table[side, :, side], table[side, :, 1 - side] = met[0], met[1]
+        # Isotropic lobes are mirror symmetric.
+        table = 0.5 * (table + table[..., -np.arange(columns)])
+        if measure is not None:
+            table = _reciprocal(table, np.asarray(measure, np.float64))
+        turn = (np.arange(columns)[None, :] - np.arange(columns)[:, None]) % columns
+        full = table[..., turn].transpose(0, 2, 1, 4, 3, 5).reshape(2, 2, self.size, self.size)
+        same = np.stack([full[0, 0], full[1, 1]])
+        other = np.stack([full[0, 1], full[1, 0]])
+        return same, other if other.any() else None
+
+
+def _reciprocal(table: np.ndarray, measure: np.ndarray) -> np.ndarray:
+    """The matrix made symmetric under `measure` and scaled, symmetrically, until its rows sum to what they did."""
+    weight = measure[:, None, None, None, None]
+    # What passes is counted from both sides: the two counts are made equal, or no symmetric matrix could have both as its sums.
+    passed = [float(measure[a] * table[a, :, 1 - a].sum()) for a in (0, 1)]
+    if min(passed) > 0:
+        for a in (0, 1):
+            table[a, :, 1 - a] *= min(passed) / passed[a]
+    wanted = (weight * table).sum(axis=(2, 3, 4))  # (2, rows)
+    table = weight * table
+    table = 0.5 * (table + table.transpose(2, 3, 0, 1, 4))
+    reduced = table.sum(axis=4)
+    scale = np.ones_like(wanted)
+    for _ in range(SCALINGS):
+        got = scale * np.einsum("arbs,bs->ar", reduced, scale)
+        ratio = np.where(got > 0, wanted / np.where(got > 0, got, 1.0), 1.0)
+        scale *= np.sqrt(ratio)
+        if np.abs(ratio - 1).max() <= SCALED:
+            break
+    return table * scale[:, :, None, None, None] * scale[None, None, :, :, None] / weight
+
+
+def frames(normal: np.ndarray) -> np.ndarray:
+    """(2 n, 3, 3) float32 rows x, y, z of the frames of both sides of elements with front normals `normal` (n, 3).
+
+    x is horizontal, so that elements of a smooth surface have about the same frame. Both sides share x and y; z is the side's normal.
+    """
+    n = np.asarray(normal, np.float64)
+    x = np.stack([-n[:, 1], n[:, 0], np.zeros(len(n))], axis=1)
+    length = np.linalg.norm(x, axis=1)
+    x = np.where(length[:, None] > 1e-6, x / np.maximum(length, 1e-300)[:, None], (1.0, 0.0, 0.0))
+    x -= n * np.einsum("ij,ij->i", x, n)[:, None]
+    x /= np.linalg.norm(x, axis=1)[:, None]
+    y = np.cross(n, x)
+    front, back = np.stack([x, y, n], axis=1), np.stack([x, y, -n], axis=1)
+    return np.stack([front, back], axis=1).reshape(-1, 3, 3).astype(np.float32)

@@ -1,0 +1,169 @@
+"""Shooting of radiance that is kept in harmonics: the state of the method of Sillion, Arvo, Westin and Greenberg 1991.
+
+As `schemes.Southwell`, with coefficients of radiance by direction in the place of radiosity. A shot samples the radiance of its side
+along rays drawn by the cosine; what arrives is kept as moments, the sum of flux times h_a(wi) over area, and a matrix for each
+material turns moments into the coefficients of what leaves. Flux is what is counted, so none is lost.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..base.parallel import in_order
+from ..radiosity.schemes import NO_LIMIT
+from .harmonics import HemisphereHarmonics
+from .rays import DirectionalRays
+from .scattering import Scattering
+
+BATCH = 1 << 13  # rays in one piece of work
+
+
+class HarmonicShooting:
+    """What has arrived and what is still to be sent.
+
+    direct, indirect   (n, size, 3) moments of the light that has arrived, of the path lengths asked for; the first one of them,
+                       times sqrt(2 pi), is the irradiance
+    unshot             (k, n, size, 3) coefficients of radiance not yet sent, by the segments its light has behind it (see Southwell)
+    absorbed, escaped  flux in W by channel, as in Southwell; `count`: rays cast; `shots`: sides that have shot
+    """
+
+    def __init__(
+        self, caster: DirectionalRays, basis: HemisphereHarmonics, scattering: Scattering, low: int = 0, high: int = NO_LIMIT
+    ) -> None:
+        e = caster.elements
+        self.caster, self.basis, self.scattering = caster, basis, scattering
+        self.low, self.high = low, high
+        self.bounded = high < NO_LIMIT
+        n = 2 * e.count
+        self.area = np.repeat(e.area, 2)
+        self.unshot = np.zeros((max(1, high) if self.bounded else max(2, low), n, basis.size, 3))
+        self.direct, self.indirect = np.zeros((n, basis.size, 3)), np.zeros((n, basis.size, 3))
+        self.emitted, self.absorbed, self.escaped, self.cut = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
+        self.count = self.shots = 0
+        self._used = np.zeros(n, np.int64)
+
+    @property
+    def total(self) -> float:
+        """Emitted flux in W, the channels summed."""
+        return float(self.emitted.sum())
+
+    def emit(self, radiance: np.ndarray) -> None:
+        """Add emission: coefficients (n, size, 3) of radiance that leaves."""
+        flux = self._flux(radiance)
+        self.emitted += flux
+        if self.high == 0:
+            self.cut += flux
+        else:
+            self.unshot[0] += radiance
+
+    def illuminate(self, moments: np.ndarray) -> None:
+        """Add light from outside the elements: moments (n, size, 3) of what arrives."""
+        flux = self._arrived(moments)
+        self.emitted += flux
+        if self.high == 0:
+            self.cut += flux
+        else:
+            self._arrive(moments, 0)
+
+    def _flux(self, radiance: np.ndarray) -> np.ndarray:
+        return np.einsum("n,a,nac->c", self.area, self.basis.flux, radiance)
+
+    def _arrived(self, moments: np.ndarray) -> np.ndarray:
+        return np.sqrt(2 * np.pi) * (self.area @ moments[:, 0])
+
+    def _arrive(self, moments: np.ndarray, behind: int) -> None:
+        """Take moments of light with `behind` segments before this one."""
+        length = behind + 1
+        # In the last class the lengths are mixed, but all of them long enough.
+        if self.low <= length or (not self.bounded and behind == len(self.unshot) - 1):
+            (self.direct if length == 1 else self.indirect)[:] += moments
+        lit = np.flatnonzero(moments.any(axis=(1, 2)))
+        if not len(lit):
+            return
+        # Elements between the first and the last that are lit: scattering works on ranges.
+        first, last = int(lit[0]) >> 1, (int(lit[-1]) >> 1) + 1
+        leaving = self.scattering.apply(moments[2 * first : 2 * last], first=first)
+        flux = np.einsum("n,a,nac->c", self.area[2 * first : 2 * last], self.basis.flux, leaving)
+        self.absorbed += self._arrived(moments) - flux
+        if self.bounded and length >= self.high:
+            self.cut += flux
+        else:
+            self.unshot[min(length, len(self.unshot) - 1), 2 * first : 2 * last] += leaving
+
+    def strength(self) -> np.ndarray:
+        """(n,) W: flux that each side has still to send, absolute values, as light that rings may have a negative one.
+
+        Radiance that carries no flux on the whole is ringing, or the noise of few rays, and does not bring a side to the front.
+        """
+        return self.area * np.abs(np.einsum("a,nac->nc", self.basis.flux, self.unshot.sum(axis=0))).sum(axis=1)
+
+    def remaining(self) -> np.ndarray:
+        """(3,) W not yet sent, and cut off by the path length."""
+        return self._flux(self.unshot.sum(axis=0)) + self.cut
+
+    def shoot(self, index: np.ndarray, rays: np.ndarray) -> None:
+        """Send the unshot radiance of sides `index` (m,) along `rays` (m,) rays each."""
+        classes = len(self.unshot)
+        used = np.flatnonzero(self.unshot[:, index].any(axis=(1, 2, 3)))
+        out = self.unshot[used][:, index]  # (k, m, size, 3)
+        self.unshot[:, index] = 0.0
+        who = np.repeat(np.arange(len(index)), rays)
+        number = np.arange(len(who)) - np.repeat(np.cumsum(rays) - rays, rays) + self._used[index][who]
+        self._used[index] += rays
+        self.count += len(who)
+        self.shots += len(index)
+        # Columns: class, channel. Coefficients in rows, for products with the harmonics.
+        coefficients = np.ascontiguousarray(out.transpose(1, 2, 0, 3)).reshape(len(index), self.basis.size, -1)
+        plain = not coefficients[:, 1:].any()
+
+        def work(first: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            part = slice(first, first + BATCH)
+            side = index[who[part]]
+            (a, b), w = self.caster.cosine(number[part], side)
+            met, arrives = self.caster.trace(side, a, b, w)
+            mine = coefficients[:, 0] / np.sqrt(2 * np.pi) if plain else coefficients
+            mine = mine[who[part]]
+            radiance = mine if plain else np.einsum("na,nak->nk", self.basis.values(w), mine)
+            return met, arrives, radiance
+
+        pieces = list(in_order(work, range(0, len(who), BATCH)))
+        met, arrives, radiance = (np.concatenate([p[i] for p in pieces]) for i in range(3))
+        flux = np.pi * self.area[index][who, None] * radiance / rays[who, None]
+        if not plain:
+            # The mean over the rays is not quite the integral: all rays of a side share the difference, so that its flux is exact.
+            exact = self.area[index, None] * np.einsum("a,mak->mk", self.basis.flux, coefficients)
+            got = np.stack([np.bincount(who, flux[:, k], len(index)) for k in range(flux.shape[1])], axis=1)
+            flux += ((exact - got) / rays[:, None])[who]
+        self._land(met, arrives, flux, used, classes)
+
+    def _land(self, met: np.ndarray, arrives: np.ndarray, flux: np.ndarray, used: np.ndarray, classes: int) -> None:
+        """Sum the flux (r, k 3) of rays into moments of the sides they meet; what escapes is counted."""
+        n = len(self.area)
+        lost = flux[met < 0].sum(axis=0).reshape(-1, 3)
+        self.escaped += lost.sum(axis=0)
+        hit = np.flatnonzero(met >= 0)
+        met, flux = met[hit], flux[hit]
+        area = np.maximum(self.area, 1e-300)[:, None]
+        columns = flux.shape[1]
+        moments = np.zeros((n, self.basis.size, columns))
+        sums = np.stack([np.bincount(met, flux[:, k], n) for k in range(columns)], axis=1)
+        moments[:, 0] = sums / area / np.sqrt(2 * np.pi)
+        # Plainly diffuse elements do not ask for the direction.
+        which = np.flatnonzero(self.scattering.shiny[met >> 1])
+        if len(which) and self.basis.size > 1:
+            h, to = self.basis.values(arrives[hit[which]]), met[which]
+            for k in range(columns):
+                for a in range(1, self.basis.size):
+                    moments[:, a, k] = np.bincount(to, flux[which, k] * h[:, a], n)
+            moments[:, 1:] /= area[:, None]
+        for k, behind in enumerate(used):
+            self._arrive(np.ascontiguousarray(moments[:, :, 3 * k : 3 * k + 3]), int(behind))
+
+    def largest(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Up to `count` sides with the most to send, most first, and how much; sides with nothing are left out."""
+        strength = self.strength()
+        index = np.argpartition(-strength, count)[:count] if count < len(strength) else np.arange(len(strength))
+        # Ties go to the lower index, so that the order is always the same.
+        index = index[np.lexsort((index, -strength[index]))]
+        index = index[strength[index] > 0]
+        return index, strength[index]

@@ -1,0 +1,76 @@
+"""Pairs of directions that a lobe joins, drawn once from a fixed set: from them scattering is put into bins or into harmonics.
+
+Both need integrals of f(wo, wi) cos cos over two hemispheres. The given direction is drawn by the cosine, the other one by the lobe
+itself, so that narrow lobes, perfect mirrors and refraction need nothing special.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..bsdf import microfacet as mf
+from ..bsdf import table as bsdf
+from ..bsdf.multiscatter import Gains
+
+PAIRS = 1 << 15
+CLEAR = (bsdf.GLASS, bsdf.REFRACTION)
+
+# The additive sequence of M. Roberts in five dimensions: powers of 1 / phi, phi the root of x^6 = x + 1.
+_PHI = 1.1347241384015194
+ALPHA = np.array([_PHI**-k for k in range(1, 6)])
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """n pairs: `given` (n, 3) float32 distributed by the cosine, `other` (n, 3) where its lobe sends it, both with z > 0 on their own
+    side; through (n,) bool: `other` lies on the other side; weight (n,) float64 whose mean over the others is the albedo."""
+
+    given: np.ndarray
+    other: np.ndarray
+    through: np.ndarray
+    weight: np.ndarray
+
+    def times(self, factor: np.ndarray) -> Pairs:
+        """The same pairs with their weights times `factor` (n,)."""
+        return Pairs(self.given, self.other, self.through, self.weight * factor)
+
+    def excess(self, gains: Gains, row: int, inside: bool) -> np.ndarray:
+        """(n,) what comes on top of single scattering, for white facets; `inside`: the given directions lie on the inside."""
+        n = len(self.given)
+        other = self.other * np.where(self.through, -1, 1)[:, None]
+        return gains.excess(np.full(n, row), np.full(n, inside), self.given, other)
+
+
+def given_directions(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """`count` directions (n, 3) float32 by the cosine, and three more numbers in 0..1 for each, (3, n) float32."""
+    x = np.arange(count) * ALPHA[:, None] + 0.5
+    x = (x - np.floor(x)).astype(np.float32)
+    r, phi = np.sqrt(x[0]), 2 * mf.PI * x[1]
+    z = np.sqrt(np.maximum(1 - x[0], np.float32(1e-7)))
+    return np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=1), x[2:]
+
+
+def pairs(kind: int, alpha: float, ior: float, front: bool, table: bsdf.BsdfTable, count: int = PAIRS) -> Pairs:
+    """The pairs of a white lobe (a kind of `bsdf.KINDS`) of single scattering, seen from the outside, or from the back."""
+    given, u = given_directions(count)
+    n = len(given)
+    axes = (np.broadcast_to(np.eye(3, dtype=np.float32)[i], (n, 3)) for i in range(3))
+    white = np.ones((n, 3), np.float32)
+    slot = bsdf.Slot(np.full(n, kind, np.int8), white, *(np.full(n, x, np.float32) for x in (alpha, ior)), np.zeros(n, np.int32))
+    black, no_coat = np.zeros((n, 3), np.float32), np.full(n, -1, np.int32)
+    lobes = bsdf.Lobes(given, given, *axes, black, (slot,), np.full(n, front), no_coat, table)
+    uniform = np.concatenate([np.full((1, n), 0.5, np.float32), u])
+    s = bsdf.sample(lobes, np.random.default_rng(0), uniform)
+    other = s.wi.copy()
+    other[:, 2] = np.abs(other[:, 2])
+    weight = np.where(np.isfinite(s.weight[:, 0]), s.weight[:, 0], 0).astype(np.float64)
+    return Pairs(given, other, s.through & (weight > 0), weight)
+
+
+def facet_share(p: Pairs) -> np.ndarray:
+    """(n,) float64: (1 - c)^5 of Schlick's reflectance, c the cosine to the facet that mirrors one direction into the other."""
+    h = p.given + p.other
+    h /= np.maximum(np.linalg.norm(h, axis=1), 1e-20)[:, None]
+    return np.clip(1 - np.einsum("ij,ij->i", p.given, h).astype(np.float64), 0, 1) ** 5

@@ -1,0 +1,208 @@
+"""What surfaces make of the light that arrives on their elements, for any basis of directions: bins or harmonics.
+
+Fields are (2 elements, size, 3): for each side the coefficients of what arrives, or of the radiance that leaves. Each material is a
+sum of parts, a grey matrix times a colour of each element, so that textured colours cost nothing more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ..bsdf import table as bsdf
+from ..elements.elements import COLOR_GRID, Elements
+from .pairs import CLEAR, PAIRS, Pairs, facet_share, pairs
+
+
+class Basis(Protocol):
+    """A basis of directions over the hemisphere. `unit` turns a product with what arrives into a mean over the hemisphere."""
+
+    size: int
+    unit: float
+
+    def constant(self, value: float = 1.0) -> np.ndarray:
+        """Coefficients (size,) of the radiance `value` in every direction."""
+
+    def dimming(self, curve: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """Coefficients (size,) of `curve(cosine)`."""
+
+    def kernels(self, sides: Sequence[Pairs], measure: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+        """Matrices (2, size, size) from what arrives on a side and on the other side to what leaves."""
+
+    def basis(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients (n, q) that matter in directions `w` (n, 3), and their weights (n, q)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One lobe of a material: color (m, 3) of its elements, and the matrices of `Basis.kernels`."""
+
+    color: np.ndarray
+    same: np.ndarray
+    other: np.ndarray | None
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialScattering:
+    """A material: its elements (m,), what its diffuse base reflects, albedo (m, 3) left right^T, and its other lobes."""
+
+    elements: np.ndarray
+    albedo: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    parts: tuple[Part, ...]
+
+
+class Scattering:
+    """The scattering of all elements. `prepare` makes it, material by material; those not made yet are black.
+
+    shiny (ne,) bool: elements of materials that are more than plainly diffuse; clear: whether anything refracts, so that basic
+    radiance and radiance differ.
+    """
+
+    def __init__(self, elements: Elements, table: bsdf.BsdfTable, basis: Basis, count: int = PAIRS) -> None:
+        self.elements, self.table, self.basis, self.pairs = elements, table, basis, count
+        self.count, self.size = elements.count, basis.size
+        self.shiny = np.zeros(elements.count, bool)
+        self.clear = False
+        self.materials: list[MaterialScattering] = []
+
+    @classmethod
+    def ready(cls, elements: Elements, table: bsdf.BsdfTable, basis: Basis, count: int = PAIRS) -> Scattering:
+        """Made and prepared in one call."""
+        out = cls(elements, table, basis, count)
+        for _ in out.prepare():
+            pass
+        return out
+
+    def prepare(self) -> Iterator[float]:
+        """Find the colours of the elements and the matrices of every material; yields the share done."""
+        elements, table, basis = self.elements, self.table, self.basis
+        material = np.asarray(elements.world.scene.material)
+        own = material[elements.patch_triangle[elements.patch]] if elements.count else np.zeros(0, np.int64)
+        colors, kinds = _mean_colors(elements, table)
+        cache: dict[tuple, list[tuple[np.ndarray, np.ndarray | None]]] = {}
+        flat = basis.constant()
+        used = np.unique(own)
+        for done, index in enumerate(used, 1):
+            which = np.flatnonzero(own == index)
+            parts: list[Part] = []
+            for slot, (kind, alpha, ior, gain) in enumerate(kinds[index]):
+                color = colors[1 + slot][which]
+                if not kind or (kind != bsdf.METALLIC and not color.any()):
+                    continue
+                self.clear |= kind in CLEAR and ior != 1
+                key = (kind, alpha, ior, gain)
+                if key not in cache:
+                    cache[key] = _kernels(basis, *key, table, self.pairs)
+                    yield (done - 0.5) / len(used)
+                tints = [color, np.ones_like(color)] if kind == bsdf.METALLIC else [color]
+                if gain:
+                    mean = bsdf.mean_reflectance(np.full(len(color), kind), color)
+                    kept = table.gains.kept(np.full(len(color), gain), mean)
+                    tints += [tint * kept for tint in tints]
+                parts += [Part(tint, *kernel) for tint, kernel in zip(tints, cache[key], strict=True)]
+            left = right = flat
+            if table.coat[index].any():
+
+                def curve(cosine: np.ndarray, index: int = int(index)) -> np.ndarray:
+                    return 1 - table.coat_at(np.full(len(cosine), index), cosine.astype(np.float32))
+
+                left = basis.dimming(curve)
+                right = left / (1 - float(table.coat_mean[index]))
+            self.shiny[which] = bool(parts) or left is not flat
+            self.materials.append(MaterialScattering(which, colors[0][which], left, right * basis.unit, tuple(parts)))
+        yield 1.0
+
+    def apply(self, arriving: np.ndarray, diffuse: bool = True, first: int = 0) -> np.ndarray:
+        """(2 m, size, 3) radiance that leaves the elements `first` to `first` + m where `arriving` (2 m, size, 3) arrives.
+
+        Without `diffuse`, only what the other lobes send.
+        """
+        return self._sum(arriving, diffuse, first, False)
+
+    def adjoint(self, values: np.ndarray) -> np.ndarray:
+        """The transposed matrices, of all elements."""
+        return self._sum(values, True, 0, True)
+
+    def _sum(self, x: np.ndarray, diffuse: bool, first: int, transposed: bool) -> np.ndarray:
+        m = len(x) // 2
+        by_side = x.reshape(m, 2, self.size, 3)
+        out = np.zeros_like(by_side)
+        for material in self.materials:
+            a, b = np.searchsorted(material.elements, (first, first + m))
+            at = material.elements[a:b] - first
+            if a == b:
+                continue
+            here = by_side[at]
+            total = np.zeros_like(here)
+            if diffuse:
+                left, right = (material.right, material.left) if transposed else (material.left, material.right)
+                mean = np.einsum("d,esdc->esc", right, here) * material.albedo[a:b, None]
+                total += left[:, None] * mean[:, :, None]
+            for part in material.parts:
+                color = part.color[a:b, None]
+                for side in (0, 1):
+                    total[:, side] += color * _product(part.same[side], here[:, side], transposed)
+                    if part.other is not None:
+                        kernel = part.other[1 - side if transposed else side]
+                        total[:, side] += color * _product(kernel, here[:, 1 - side], transposed)
+            out[at] = total
+        return out.reshape(x.shape)
+
+    def below_coat(self, arriving: np.ndarray) -> np.ndarray:
+        """(2 ne, 3) irradiance that reaches the diffuse base, so that its radiance is albedo / pi times what the coat leaves of it."""
+        out = np.zeros((self.count, 2, 3))
+        by_side = arriving.reshape(self.count, 2, self.size, 3)
+        for material in self.materials:
+            out[material.elements] = np.pi * np.einsum("d,esdc->esc", material.right, by_side[material.elements])
+        return out.reshape(-1, 3)
+
+
+def _product(kernel: np.ndarray, x: np.ndarray, transposed: bool) -> np.ndarray:
+    """kernel (size, size) @ x (m, size, 3), or its transpose, as one matrix product."""
+    m, size, _ = x.shape
+    flat = x.transpose(0, 2, 1).reshape(3 * m, size) @ (kernel if transposed else kernel.T)
+    return flat.reshape(m, 3, size).transpose(0, 2, 1)
+
+
+def _kernels(basis: Basis, kind: int, alpha: float, ior: float, gain: int, table: bsdf.BsdfTable, count: int) -> list:
+    """One pair of matrices, or two for metals: of the part that takes the metal's colour, and of Schlick's white rest. The same once
+    more, where there is a gain, for what bounces more than once between microfacets.
+    """
+    through = kind in CLEAR or kind == bsdf.TRANSPARENT
+    measure = np.array([1.0, ior * ior if kind in CLEAR else 1.0])
+    drawn = bsdf.GLOSSY if kind == bsdf.METALLIC else kind
+    front = pairs(drawn, alpha, ior, True, table, count)
+    # What only reflects looks the same from behind, unless an index differs.
+    back = pairs(drawn, alpha, ior, False, table, count) if through or kind == bsdf.DIELECTRIC else front
+    shares = [(1.0, 1.0)]
+    if kind == bsdf.METALLIC:
+        white = facet_share(front)
+        shares = [(1 - white, 1 - white), (white, white)]
+    if gain:
+        more = (front.excess(table.gains, gain, False), back.excess(table.gains, gain, True))
+        shares += [(a * more[0], b * more[1]) for a, b in shares]
+    return [basis.kernels((front.times(a), back.times(b)), measure) for a, b in shares]
+
+
+def _mean_colors(elements: Elements, table: bsdf.BsdfTable) -> tuple[list[np.ndarray], list[list[tuple[int, float, float, int]]]]:
+    """Mean colour (ne, 3) float64 of the diffuse base and of every slot, and (kind, alpha, ior, gain) of the slots of every material."""
+    scene = elements.world.scene
+    steps = (np.arange(COLOR_GRID) + 0.5) / COLOR_GRID if any(not x.color.is_constant for m in scene.materials for x in m.lobes) else [0.25]
+    colors = [np.zeros((elements.count, 3)) for _ in range(1 + table.count)]
+    kinds: list[list[tuple[int, float, float, int]]] = [[] for _ in scene.materials]
+    index = np.arange(elements.count)
+    for a in steps:
+        for b in steps:
+            surface = elements.world.surface(*elements.point(index, np.full(len(index), a), np.full(len(index), b)))
+            lobes = table.at(surface.triangle, surface.u, surface.v, surface.ng, surface.side, surface.ng)
+            for total, color in zip(colors, (lobes.diffuse, *(s.color for s in lobes.slots)), strict=True):
+                total += color / len(steps) ** 2
+    for material in np.unique(lobes.material):
+        at = int(np.flatnonzero(lobes.material == material)[0])
+        kinds[material] = [(int(s.kind[at]), float(s.alpha[at]), float(s.ior[at]), int(s.gain[at])) for s in lobes.slots]
+    return colors, kinds

@@ -1,0 +1,1 @@
+"""Surfaces cut into finite elements."""

@@ -1,0 +1,218 @@
+"""From irradiance on element sides to answers at receivers: texels, vertices, camera pixels or the elements themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ..base.parallel import in_order
+from ..lights.emitters import Emitters
+from ..receivers.base import Points, Receivers
+from ..scene.world import Surface, World
+from .elements import Elements
+from .refinement import RefinedElements, over_base
+
+# Irradiance (n, 3) of surfaces and the number of rays it took, for direct light evaluated at the receivers themselves.
+Gather = Callable[[Surface, np.random.Generator], tuple[np.ndarray, int]]
+
+PIECE = 1 << 13  # receiver points in one piece of work when direct light is evaluated at them
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """The arrays of a `Solution`, one row a receiver, as its fields describe them; `rays` were cast to find them."""
+
+    emitted: np.ndarray
+    direct: np.ndarray
+    indirect: np.ndarray
+    albedo: np.ndarray
+    weight: np.ndarray
+    rays: int = 0
+    extra: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def arrays(self) -> dict[str, Any]:
+        """Keyword arguments for `Solution`, all but `rays`."""
+        names = ("emitted", "direct", "indirect", "albedo", "weight", "extra")
+        return {name: getattr(self, name) for name in names}
+
+
+@dataclass(frozen=True, eq=False)
+class _Sites:
+    """Receiver points of one chunk that lie on surfaces, with all that an answer needs of them."""
+
+    receiver: np.ndarray  # (n,) int64
+    side: np.ndarray  # (n,) int32 element side
+    a: np.ndarray  # (n,) float32 local coordinates
+    b: np.ndarray
+    albedo: np.ndarray  # (n, 3) float32
+
+
+def elements_for(world: World, receivers: Receivers, max_edge: float, target: int) -> Elements:
+    """The receivers' own elements where the receivers are elements or their corners, else new ones."""
+    own = getattr(receivers, "elements", None)
+    return own if own is not None else Elements(world, max_edge, target)
+
+
+def element_count(world: World, receivers: Receivers, max_edge: float, target: int) -> int:
+    """How many elements `elements_for` gives, without making them."""
+    own = getattr(receivers, "elements", None)
+    return own.count if own is not None else Elements.planned(world, max_edge, target)
+
+
+class ElementAnswer:
+    """Evaluates element solutions at receivers; their points are found once and kept for every later partial result.
+
+    Run `prepare()` to its end, then call `parts()` as often as wanted. With `gather`, direct light is evaluated at every
+    receiver point instead of taken from the elements.
+    """
+
+    def __init__(
+        self, elements: Elements, receivers: Receivers, gather: Gather | None = None, min_length: int = 0, max_length: int = 1 << 30
+    ) -> None:
+        self.elements = elements
+        self.receivers = receivers
+        self.identity = receivers.kind == "elements" and getattr(receivers, "elements", None) is elements
+        self.emission = min_length == 0
+        self.gather = gather if min_length <= 1 <= max_length and not self.identity else None
+        # Lamps with a size are seen by the camera, in front of surfaces or against the background.
+        seen = self.emission and receivers.measure == "radiance" and elements.world.scene.lights
+        self.lamps = Emitters(elements.world) if seen else None
+        self.rays = 0
+        self.ready = 0.0
+        self._sites: list[_Sites] = []
+        n = receivers.count
+        self._emitted = np.zeros((n, 3))
+        self._albedo = np.zeros((n, 3))
+        self._direct = np.zeros((n, 3))
+        self._weight = np.zeros(n)
+
+    def prepare(self) -> Iterator[float]:
+        """Find all receiver points; yields the share done, 0 to 1, after each chunk."""
+        if self.identity:
+            self.ready = 1.0
+            return
+        for sites, sums, rays in in_order(self._chunk, enumerate(self._pieces())):
+            self._sites.append(sites)
+            for total, (first, values) in zip((self._emitted, self._albedo, self._direct, self._weight), sums, strict=True):
+                total[first : first + len(values)] += values
+            self.rays += rays
+            self.ready = float(first + len(values)) / max(1, self.receivers.count)
+            yield self.ready
+        self.ready = 1.0
+
+    def _pieces(self) -> Iterator[Points]:
+        """The receivers' points, in smaller pieces where each of them costs rays to lights."""
+        for points in self.receivers.sites():
+            size = PIECE if self.gather is not None else max(1, len(points.receiver))
+            for a in range(0, len(points.receiver), size):
+                b = slice(a, a + size)
+                rest = (None if x is None else x[b] for x in (points.towards, points.origin, points.distance))
+                yield Points(points.receiver[b], points.triangle[b], points.u[b], points.v[b], *rest, points.rays if a == 0 else 0)
+
+    def _chunk(self, item: tuple[int, Points]) -> tuple[_Sites, list[tuple[int, np.ndarray]], int]:
+        index, points = item
+        world = self.elements.world
+        rays = points.rays
+        on = points.triangle >= 0
+        triangle, u, v = points.triangle[on], points.u[on], points.v[on]
+        towards = None if points.towards is None else points.towards[on]
+        surface = world.surface(triangle, u, v, towards)
+        albedo, emission = world.albedo(surface), world.emission(surface)
+        element, a, b = self.elements.cell(triangle, u, v)
+        sites = _Sites(points.receiver[on], (2 * element + (surface.side < 0)).astype(np.int32), a, b, albedo)
+
+        radiance = self.receivers.measure == "radiance"
+        emitted = np.zeros((len(on), 3), np.float32)
+        if self.emission:
+            emitted[on] = emission if radiance else np.float32(np.pi) * emission
+            if radiance:
+                emitted[~on] = world.scene.background
+                if self.lamps is not None:
+                    distance = np.where(on, points.distance, np.float32(np.inf))
+                    emitted += self.lamps.along(points.origin, -points.towards, distance)
+        direct = np.zeros((len(triangle), 3), np.float32)
+        if self.gather is not None and len(triangle):
+            # A generator for each chunk, so that neither threads nor order change the result.
+            direct, cast = self.gather(surface, np.random.default_rng([7, index]))
+            rays += cast
+            if radiance:
+                direct = direct * albedo / np.float32(np.pi)
+        sums = [
+            _sum(points.receiver, emitted),
+            _sum(sites.receiver, albedo),
+            _sum(sites.receiver, direct),
+            _sum(points.receiver, np.ones((len(on), 1), np.float32)),
+        ]
+        first, weight = sums[3]
+        sums[3] = (first, weight[:, 0])
+        return sites, sums, rays
+
+    def refine(self, elements: RefinedElements) -> None:
+        """Go over from the elements that `elements` were refined from to these. Receivers that are elements stay what they are."""
+        self.elements = elements
+        for i, s in enumerate(self._sites):
+            element, a, b = elements.descend(s.side >> 1, s.a, s.b)
+            self._sites[i] = replace(s, side=(2 * element + (s.side & 1)).astype(np.int32), a=a, b=b)
+
+    def parts(self, direct: np.ndarray, indirect: np.ndarray) -> Parts:
+        """The answer for irradiance `direct` and `indirect` (2 ne, 3) of the element sides.
+
+        Camera: "elements" in `extra` is the radiosity of the elements as they are, without smoothing, W m-2.
+        """
+        e = self.elements
+        if self.identity:
+            return self._identity(direct, indirect)
+        radiance = self.receivers.measure == "radiance"
+        nodes = e.nodes.values(np.concatenate([direct, indirect], axis=1))
+        flat = None
+        if radiance:
+            own = np.repeat(e.emitted if self.emission else 0 * e.emitted, 2, axis=0)
+            flat = (own + np.repeat(e.albedo, 2, axis=0) * (direct + indirect)).astype(np.float32)
+
+        def evaluate(s: _Sites) -> tuple[int, np.ndarray]:
+            light = e.nodes.at(nodes, s.side, s.a, s.b)
+            if radiance:
+                light *= np.tile(s.albedo, (1, 2)) / np.float32(np.pi)
+                light = np.concatenate([light, flat[s.side]], axis=1)
+            return _sum(s.receiver, light)
+
+        total = np.zeros((self.receivers.count, 9 if radiance else 6))
+        for first, values in in_order(evaluate, self._sites):
+            total[first : first + len(values)] += values
+        share = 1.0 / np.maximum(self._weight, 1)[:, None]
+        total *= share
+        direct_here = total[:, :3] if self.gather is None else self._direct * share
+        arrays = (self._emitted * share, direct_here, total[:, 3:6], self._albedo * share)
+        extra = {"elements": total[:, 6:].astype(np.float32)} if radiance else {}
+        return Parts(*(x.astype(np.float32) for x in arrays), (self._weight > 0).astype(np.float32), self.rays, extra)
+
+    def _identity(self, direct: np.ndarray, indirect: np.ndarray) -> Parts:
+        e = self.receivers.elements
+        if e is not self.elements:
+            direct, indirect = over_base(self.elements, e, direct), over_base(self.elements, e, indirect)
+        emitted = np.repeat(e.emitted if self.emission else 0 * e.emitted, 2, axis=0)
+        arrays = (emitted, direct, indirect, np.repeat(e.albedo, 2, axis=0))
+        return Parts(*(np.asarray(x, np.float32) for x in arrays), np.ones(2 * e.count, np.float32), self.rays)
+
+
+def element_solution(
+    elements: Elements, receivers: Receivers, direct: np.ndarray, indirect: np.ndarray, gather: Gather | None = None
+) -> Parts:
+    """`ElementAnswer` in one call, for a result that is wanted once."""
+    answer = ElementAnswer(elements, receivers, gather)
+    for _ in answer.prepare():
+        pass
+    return answer.parts(direct, indirect)
+
+
+def _sum(receiver: np.ndarray, values: np.ndarray) -> tuple[int, np.ndarray]:
+    """First receiver of the chunk and sums (k, c) float64 of `values` (n, c) from it on."""
+    if not len(receiver):
+        return 0, np.zeros((0, values.shape[1]))
+    first = int(receiver.min())
+    index = receiver - first
+    count = int(index.max()) + 1
+    return first, np.stack([np.bincount(index, values[:, c], count) for c in range(values.shape[1])], axis=1)

@@ -1,0 +1,88 @@
+"""Rays between element sides: cosine-distributed from points all over a side, from fixed low-discrepancy sets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..base.parallel import in_order
+from .elements import Elements
+
+BATCH = 1 << 15  # rays in one piece of work
+
+# The additive sequence of M. Roberts in four dimensions: powers of 1 / phi, phi the root of x^5 = x + 1.
+_PHI = 1.1673039782614187
+ALPHA = np.array([_PHI**-1, _PHI**-2, _PHI**-3, _PHI**-4])
+# Every side and every shot shifts the set by its own vector, itself from an additive sequence.
+BETA = np.sqrt([2.0, 3.0, 5.0, 7.0])
+
+
+def shifted_points(number: np.ndarray, stream: np.ndarray) -> np.ndarray:
+    """(4, n) float64 in 0..1: point `number` (n,) of the set, shifted for `stream` (n,) int64. The same every time."""
+    x = number * ALPHA[:, None] + (stream % (1 << 24)) * BETA[:, None] + 0.5
+    return x - np.floor(x)
+
+
+class ElementRays:
+    """Casts rays from element sides and says which sides they meet. `cast` counts rays; same arguments, same answer."""
+
+    def __init__(self, elements: Elements) -> None:
+        self.elements = elements
+        self.world = elements.world
+        # One row an element: corner, the edges along local a and b, and the frame t1, t2, n for directions.
+        index = np.arange(elements.count)
+        zero, one = np.zeros(elements.count), np.ones(elements.count)
+        corner = elements.position(index, zero, zero)
+        along = elements.position(index, one, zero) - corner
+        across = elements.position(index, zero, one) - corner
+        t1 = along / np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
+        t2 = np.cross(elements.normal, t1)
+        self._rows = np.concatenate([corner, along, across, t1, t2, elements.normal], axis=1).astype(np.float32)
+        self._normals = np.ascontiguousarray(self.world.rows[:, 9:12])
+
+    def start(self, side: np.ndarray, number: np.ndarray, stream: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Origins, directions and the sides' normals, (n, 3) float32, of rays from `side` (n,). `number` and `stream` pick the ray."""
+        u = shifted_points(number, stream).astype(np.float32)
+        element = side >> 1
+        rows = self._rows[element]
+        sign = np.where(side & 1, np.float32(-1), np.float32(1))
+        a, b = u[0], u[1]
+        fold = ~self.elements.is_quad[element] & (a + b > 1)
+        a, b = np.where(fold, 1 - a, a), np.where(fold, 1 - b, b)
+        normal = rows[:, 15:18] * sign[:, None]
+        origin = rows[:, 0:3] + a[:, None] * rows[:, 3:6] + b[:, None] * rows[:, 6:9] + np.float32(self.world.offset) * normal
+        radius, angle = np.sqrt(u[2]), np.float32(2 * np.pi) * u[3]
+        up = np.sqrt(np.maximum(1 - u[2], np.float32(1e-7)))
+        direction = (radius * np.cos(angle))[:, None] * rows[:, 9:12] + (radius * np.sin(angle))[:, None] * rows[:, 12:15]
+        direction += up[:, None] * normal
+        return origin, direction, normal
+
+    def cast(self, side: np.ndarray, number: np.ndarray, stream: np.ndarray) -> np.ndarray:
+        """(n,) int64 sides met by rays from `side` (n,), -1 where they escape. `number` and `stream` pick the ray."""
+        origin, direction, normal = self.start(side, number, stream)
+        triangle, tu, tv, _ = self.world.intersect(origin, direction)
+
+        # A ray can slip through exactly at an edge: misses get a second chance a hair beside.
+        missed = np.flatnonzero(triangle < 0)
+        if len(missed):
+            nudged = direction[missed] + np.float32(1e-4) * normal[missed]
+            triangle[missed], tu[missed], tv[missed], _ = self.world.intersect(origin[missed], nudged)
+        hit = np.flatnonzero(triangle >= 0)
+        out = np.full(len(side), -1, np.int64)
+        met = triangle[hit]
+        behind = np.einsum("ij,ij->i", self._normals[met], direction[hit]) > 0
+        out[hit] = 2 * self.elements.locate(met, tu[hit], tv[hit]) + behind
+        return out
+
+    def rows(self, sides: np.ndarray, rays: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Rays 0..`rays` from each of the sides, over threads, in order: pieces of (sides (m,), sides met (m, rays) int32)."""
+        block = max(1, BATCH // rays)
+
+        def work(first: int) -> tuple[np.ndarray, np.ndarray]:
+            part = sides[first : first + block]
+            owner = np.repeat(part, rays)
+            met = self.cast(owner, np.tile(np.arange(rays), len(part)), owner)
+            return part, met.reshape(len(part), rays).astype(np.int32)
+
+        yield from in_order(work, range(0, len(sides), block))

@@ -1,0 +1,1 @@
+"""Files of pictures, in plain numpy or by OpenEXR."""

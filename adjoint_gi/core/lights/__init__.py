@@ -1,0 +1,1 @@
+"""What emits: sampled for gathering, or as particles for shooting."""

@@ -1,0 +1,85 @@
+"""Light sources as sums of differential elements (review, Eq. 6), and the cosine-power lobe that goes with them (Eq. 8).
+
+The elements come from a fixed low-discrepancy set, the same for every receiver, so shadows are crisp and nothing is random.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..bsdf import table as bsdf
+from ..bsdf.microfacet import dot
+from ..scene.world import Surface, World
+from .emitters import Emitters
+
+
+class LightPoints:
+    """`count` elements for every lamp with a size, one for every lamp without, and `count` for all emissive triangles together."""
+
+    def __init__(self, emitters: Emitters, count: int) -> None:
+        self.emitters = emitters
+        k = np.arange(count)
+        # Two more dimensions of the golden-ratio lattice (Roberts 2018).
+        u, v = (0.5 + k * 0.7548776662466927) % 1.0, (0.5 + k * 0.5698402909980532) % 1.0
+        triangles = len(emitters.triangles)
+        self._draws: list[tuple[int, float, float, float]] = []
+        if triangles:
+            # Triangles are taken in proportion to their power: element k stands in the k-th stratum of the table.
+            share = emitters.power[:triangles] / emitters.power[:triangles].sum()
+            at = np.minimum(np.searchsorted(np.cumsum(share), (k + 0.5) / count), triangles - 1)
+            for i, a, b in zip(at, u, v, strict=True):
+                self._draws.append((int(i), float(share[i] * count), float(a), float(b)))
+        for lamp in np.flatnonzero(emitters.lamps.power > 0):
+            many = count if emitters.lamps.sized[lamp] else 1
+            for a, b in zip(u[:many], v[:many], strict=True):
+                self._draws.append((triangles + int(lamp), float(many), float(a), float(b)))
+
+    @property
+    def batch(self) -> int:
+        """At how many points to work at once, so that a batch takes about a tenth of a second."""
+        return max(256, min(1 << 14, (1 << 17) // max(1, len(self._draws))))
+
+    def at(self, world: World, surface: Surface, shadows: bool) -> Iterator[tuple]:
+        """For each element: wi (n, 3), cosine (n,), radiance (n, 3), weight (n,) = solid angle (0 where hidden), shadow rays cast."""
+        origin = world.leave(surface)
+        p = np.ascontiguousarray(origin.T)
+        for index, many, a, b in self._draws:
+            s = self.emitters.draw_from(index, p, a, b)
+            wi = np.ascontiguousarray(s.wi.T)
+            cosine = np.maximum(dot(wi, surface.ns), 0)
+            weight = np.where((cosine > 0) & (dot(wi, surface.ng) > 0), 1 / (s.pdf_w * np.float32(many)), np.float32(0))
+            radiance = s.radiance.T
+            lit = np.flatnonzero((weight > 0) & (radiance.max(axis=1) > 0))
+            cast = 0
+            if shadows and len(lit):
+                hidden = world.occluded(np.ascontiguousarray(origin[lit]), wi[lit], s.distance[lit]) & s.shadow[lit]
+                weight[lit[hidden]] = 0
+                cast = len(lit)
+            yield wi, cosine, radiance, weight.astype(np.float32), cast
+
+
+def exponent(roughness: np.ndarray) -> np.ndarray:
+    """n of cos^n alpha for a GGX roughness r: (2 / r^4 - 2) / 4, at most 1e4.
+
+    2 / r^4 - 2 is the exponent about the half vector of a GGX lobe's width; the mirror direction turns twice as fast, hence the quarter.
+    """
+    return np.clip((2 / np.maximum(roughness, np.float32(0.05)) ** 4 - 2) / 4, 0, 1e4).astype(np.float32)
+
+
+def phong_lobe(lobes: bsdf.Lobes, wi: np.ndarray) -> np.ndarray:
+    """(n, 3) k_s (n + 2) / (2 pi) cos^n alpha, summed over the glossy lobes; alpha is the angle of wo to the mirror direction of wi."""
+    mirrored = 2 * dot(wi, lobes.z)[:, None] * lobes.z - wi
+    cosine = np.maximum(dot(mirrored, lobes.wo), 0)
+    out = np.zeros((len(wi), 3), np.float32)
+    for slot in lobes.slots:
+        power = exponent(np.sqrt(slot.alpha))
+        lobe = (power + 2) / np.float32(2 * np.pi) * cosine**power
+        tint = slot.color
+        coat = slot.kind == bsdf.SPECULAR
+        if coat.any():
+            tint = np.where(coat[:, None], tint * (((slot.ior - 1) / (slot.ior + 1)) ** 2)[:, None], tint)
+        reflects = (slot.kind == bsdf.GLOSSY) | (slot.kind == bsdf.METALLIC) | coat
+        out += np.where(reflects[:, None], tint * lobe[:, None], 0)
+    return out

@@ -1,0 +1,1 @@
+"""T, T* and the schemes on diffuse elements."""

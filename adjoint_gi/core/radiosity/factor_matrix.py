@@ -1,0 +1,182 @@
+"""The dense form-factor matrix of the sides that light can reach: rays everywhere, closed forms where they hold."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..elements.elements import Elements
+from ..elements.rays import ElementRays
+from .aligned import exact_pairs
+from .transports import MatrixTransport
+
+BLOCK = 512
+CLOSED = 1e-13  # rows are scaled until their sums are this close to 1
+NEWTON_STEPS = 8
+CG_STEPS = 200
+
+
+@dataclass(frozen=True)
+class FactorReport:
+    """What was done to the factors.
+
+    rays          cast for rows and for visibility
+    exact, cast   pairs of sides, both ways counted once, by closed form and by rays
+    reciprocity   relative change that made the ray-cast ones reciprocal, root mean square weighted by the factors
+    closure       largest relative change that closed the rows
+    """
+
+    rays: int
+    exact: int
+    cast: int
+    reciprocity: float
+    closure: float
+
+
+def bytes_needed(sides: int, rays: int) -> int:
+    """Memory of `build` for so many sides: float64 factors, one byte of mask, the kept hits and a block of pairs."""
+    return 9 * sides * sides + 4 * sides * rays + (64 << 20)
+
+
+class FactorMatrix:
+    """Builds the matrix step by step, so that whoever drives it can show progress and stop."""
+
+    def __init__(self, elements: Elements, rays: int, closed_forms: bool = True) -> None:
+        self.elements = elements
+        self.caster = ElementRays(elements)
+        self.rays = rays
+        self.closed_forms = closed_forms
+        self.sides = np.zeros(0, np.int64)
+
+    def discover(self, lit: np.ndarray) -> Iterator[int]:
+        """Follow rays from the sides `lit` (m,), breadth first, to all that light can reach; yields how many are known.
+
+        Afterwards `sides` (n,) lists them in order and every one has its row of rays.
+        """
+        known = np.zeros(2 * self.elements.count, bool)
+        known[lit] = True
+        frontier = np.unique(lit)
+        rows = []
+        while len(frontier):
+            fresh = []
+            for part, met in self.caster.rows(frontier, self.rays):
+                rows.append((part, met))
+                new = np.unique(met)
+                new = new[new >= 0]
+                new = new[~known[new]]
+                known[new] = True
+                fresh.append(new)
+                yield int(known.sum())
+            frontier = np.concatenate(fresh)
+        self.sides = np.flatnonzero(known)
+        self._rows = rows
+
+    def build(self, rho: np.ndarray) -> Iterator[float]:
+        """Fill the matrix; yields the share done. Afterwards `transport` and `report` are there. `rho` (n, 3) of `sides`."""
+        n = len(self.sides)
+        area = self.elements.area[self.sides >> 1]
+        # 1. Ray-cast rows: the share of rays that meet each side.
+        number = np.full(2 * self.elements.count + 1, n, np.int64)
+        number[self.sides] = np.arange(n)
+        factors = np.empty((n, n))
+        sky = np.zeros(n)
+        for done, (part, met) in enumerate(self._rows):
+            index = number[part]
+            column = number[met]  # -1 picks the last entry: escaped, column n
+            flat = (np.arange(len(part))[:, None] * (n + 1) + column).ravel()
+            counts = np.bincount(flat, minlength=len(part) * (n + 1)).reshape(len(part), n + 1)
+            factors[index] = counts[:, :n] / self.rays
+            sky[index] = counts[:, n] / self.rays
+            yield 0.2 * done / len(self._rows)
+        rays = n * self.rays
+        self._rows = []
+
+        # 2. Closed forms for pairs that see each other freely. Rows of rays that meet far too few are a witness against.
+        mask = np.zeros((n, n), bool)
+        exact_sum, met_sum = np.zeros(n), np.zeros(n)
+        exact = 0
+        for piece in exact_pairs(self.elements, self.sides) if self.closed_forms else ():
+            i, j = piece.i, piece.j
+            f_ij, f_ji = piece.exchange / area[i], piece.exchange / area[j]
+            free = self._plausible(factors[i, j], f_ij) & self._plausible(factors[j, i], f_ji)
+            i, j, f_ij, f_ji = i[free], j[free], f_ij[free], f_ji[free]
+            met_sum += np.bincount(i, factors[i, j], n) + np.bincount(j, factors[j, i], n)
+            exact_sum += np.bincount(i, f_ij, n) + np.bincount(j, f_ji, n)
+            factors[i, j], factors[j, i] = f_ij, f_ji
+            mask[i, j] = mask[j, i] = True
+            exact += len(i)
+            rays += piece.rays
+            yield 0.2 + 0.6 * float(i[-1] if len(i) else 0) / n
+
+        # 3. What the closed forms leave of each row is shared out among rays and sky in the proportions that the rays found.
+        left, found = 1 - exact_sum, 1 - met_sum
+        stretch = np.where(found > 1e-9, np.clip(left / np.where(found > 1e-9, found, 1), 0.5, 2.0), 1.0)
+        sky *= stretch
+
+        # 4. Reciprocity: both directions of a ray-cast pair become the mean of their exchange areas.
+        change = weight = 0.0
+        cast = 0
+        for a in range(0, n, BLOCK):
+            rows = slice(a, a + BLOCK)
+            factors[rows] *= np.where(mask[rows], 1.0, stretch[rows, None]) * area[rows, None]
+        for a in range(0, n, BLOCK):
+            for b in range(a, n, BLOCK):
+                rows, columns = slice(a, a + BLOCK), slice(b, b + BLOCK)
+                upper, lower = factors[rows, columns], factors[columns, rows].T
+                mean = 0.5 * (upper + lower)
+                ray_cast = ~mask[rows, columns] & (mean > 0)
+                change += float((((upper - lower)[ray_cast]) ** 2 / mean[ray_cast]).sum()) / 4
+                weight += float(mean[ray_cast].sum())
+                cast += int(ray_cast.sum())
+                factors[rows, columns] = mean
+                factors[columns, rows] = mean.T
+            yield 0.8 + 0.1 * a / n
+
+        # 5. Closure: scale sides, symmetrically, until every row and its sky come to the area of the side.
+        scale = yield from self._close(factors, area * sky, area)
+        for a in range(0, n, BLOCK):
+            rows = slice(a, a + BLOCK)
+            factors[rows] *= scale[rows, None] * scale / area[rows, None]
+        self.transport = MatrixTransport(area, rho, factors, sky * scale)
+        closure = float(np.abs(scale - 1).max(initial=0.0))
+        self.report = FactorReport(rays, exact, cast, float(np.sqrt(change / weight)) if weight else 0.0, closure)
+        yield 1.0
+
+    def _plausible(self, met: np.ndarray, factor: np.ndarray) -> np.ndarray:
+        """Whether the share of rays that met a side is not far below its full factor (four standard deviations)."""
+        return met >= factor - 4 * np.sqrt(factor / self.rays) - 1 / self.rays
+
+    @staticmethod
+    def _close(exchange: np.ndarray, sky: np.ndarray, area: np.ndarray) -> Generator[float, None, np.ndarray]:
+        """Returns the scale d (n,) with d_i (sum_j S_ij d_j + sky_i) = area_i, for symmetric S (n, n), by Newton's method.
+
+        Divided by d_i, the system of a Newton step is symmetric, so conjugate gradients solve it.
+        """
+        scale = np.ones(len(area))
+        for _ in range(NEWTON_STEPS):
+            got = exchange @ scale + sky
+            error = np.where(got > 0, area / scale - got, 0.0)
+            if np.abs(error * scale / area).max(initial=0.0) <= CLOSED:
+                break
+            diagonal = np.where(got > 0, got / scale, area)
+            step = np.zeros_like(scale)
+            rest, best = error, error / diagonal
+            direction, power = best, float(rest @ best)
+            for _ in range(CG_STEPS):
+                product = diagonal * direction + exchange @ direction
+                yield 0.95
+                along = float(direction @ product)
+                if along <= 0:
+                    break
+                step = step + power / along * direction
+                rest = rest - power / along * product
+                best = rest / diagonal
+                old, power = power, float(rest @ best)
+                if power <= 1e-6 * old or np.abs(rest * scale / area).max() <= 0.1 * CLOSED:
+                    break
+                direction = best + power / old * direction
+            # A scale stays positive and moves by a factor of two at most.
+            scale = np.clip(scale + step, 0.5 * scale, 2 * scale)
+        return scale

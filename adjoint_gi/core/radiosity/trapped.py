@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light that can never leave: closed rooms that reflect everything have no finite radiosity, and methods say so instead of going on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..base.errors import SceneError
+from ..elements.elements import Elements
+from .schemes import Southwell
+
+ROUNDS = 4.0  # times that the unshot light of a channel is sent before its losses are judged
+LOSS = 1e-4  # share of what is sent that must be absorbed or escape
+
+
+class Trap:
+    """Watches shooting: light that is sent on and on and loses next to nothing is caught."""
+
+    def __init__(self, state: Southwell) -> None:
+        self.state = state
+        self._sent, self._lost = state.sent.copy(), state.absorbed + state.escaped
+
+    def check(self, elements: Elements) -> None:
+        """Look at what has been sent since the last look that saw enough. Raises SceneError where light is caught."""
+        state = self.state
+        if state.overshoot:  # sends light that it takes back later, so losses tell nothing
+            return
+        sent, lost = state.sent - self._sent, state.absorbed + state.escaped - self._lost
+        left = state.remaining() - state.cut
+        due = (left > 0) & (sent > ROUNDS * left)
+        caught = due & (lost < LOSS * sent)
+        if caught.any():
+            channel = int(np.flatnonzero(caught)[0])
+            side = int(np.argmax(state.transport.area * state.unshot[:, :, channel].sum(axis=0)))
+            refuse(elements, side)
+        self._sent, self._lost = self._sent + due * sent, self._lost + due * lost
+
+
+def refuse(elements: Elements, side: int) -> None:
+    """Raises SceneError for the material of an element side that light cannot leave."""
+    scene = elements.world.scene
+    triangle = elements.patch_triangle[elements.patch[side >> 1]]
+    name = scene.materials[scene.material[triangle]].name
+    reason = "reflects all light (albedo 1) where no light can leave, so the radiosity has no limit"
+    raise SceneError(f"Material {name}", reason, "Lower its colour below 1, or choose path tracing with a bounded path length")

@@ -1,0 +1,1 @@
+"""Random and quasi-random points, and maps from them."""

@@ -1,0 +1,1 @@
+"""What is lit: arrays, colours, triangles in Embree."""

@@ -1,0 +1,74 @@
+"""Component-first tables of the triangles, for loops that trace millions of rays and read little at each hit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..sampling.maps import columns, dot
+from .world import World
+
+
+class Faces:
+    """Normals, albedo and emission of every triangle of a world, one column each.
+
+    ng (3, nt) float32; albedo and emission (3, nt) float32, None where they vary inside triangles; emits (nt + 1,) bool, the last entry
+    for rays that hit nothing, whose triangle is -1.
+    """
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.ng = columns(world.rows[:, 9:12])
+        self._corner, self._e1, self._e2 = (columns(world.rows[:, a : a + 3]) for a in (0, 3, 6))
+        shading, every = world.shading, np.arange(world.triangle_count, dtype=np.int32)
+        zero = np.zeros(len(every), np.float32)
+        self.albedo = None if shading.albedo_varies else columns(shading.albedo(every, zero, zero))
+        self.emission = None if shading.emission_varies else columns(shading.emission(every, zero, zero))
+        self.emits = np.append(shading.emissive(), False)
+        # Flat triangles hold their own normal at the corners, so that one formula serves all.
+        self.corner_normals = None
+        if world.any_smooth:
+            normals = np.where(world.smooth[:, None, None], world.corner_normals, world.rows[:, None, 9:12])
+            self.corner_normals = columns(normals.reshape(-1, 9))
+
+    def normals(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, w: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Geometric and shading normals (3, n) on the side that a ray arriving along `w` (3, n) sees, or on the front side."""
+        ng = self.ng.take(triangle, axis=1)
+        side = None
+        if w is not None:
+            side = np.copysign(np.float32(1), -dot(ng, w))
+            ng *= side
+        if self.corner_normals is None:
+            return ng, ng
+        c = self.corner_normals.take(triangle, axis=1)
+        ns = c[0:3] * (np.float32(1) - u - v)
+        ns += c[3:6] * u
+        ns += c[6:9] * v
+        if side is not None:
+            ns *= side
+        length = np.sqrt(dot(ns, ns))
+        # Custom normals that cancel out or point into the surface are no use for shading: the face's own is taken.
+        good = (length > np.float32(1e-6)) & (dot(ns, ng) > 0)
+        ns /= np.maximum(length, np.float32(1e-6))
+        return ng, np.where(good, ns, ng)
+
+    def positions(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(3, n) float32 points at barycentrics (u, v)."""
+        p = self._e1.take(triangle, axis=1)
+        p *= u
+        q = self._e2.take(triangle, axis=1)
+        q *= v
+        p += q
+        p += self._corner.take(triangle, axis=1)
+        return p
+
+    def albedo_at(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(3, n) float32 diffuse reflectance."""
+        if self.albedo is not None:
+            return self.albedo.take(triangle, axis=1)
+        return columns(self.world.shading.albedo(triangle, u, v))
+
+    def emission_at(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(3, n) float32 emitted radiance."""
+        if self.emission is not None:
+            return self.emission.take(triangle, axis=1)
+        return columns(self.world.shading.emission(triangle, u, v))

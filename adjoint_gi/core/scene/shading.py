@@ -1,0 +1,151 @@
+"""Colours at points: evaluates the materials' colour polynomials, with one table look-up where they are constant."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..base.errors import Notice
+from .arrays import Color, Material, SceneArrays, Source, Texture
+
+# How a method that knows only diffuse surfaces takes the other lobes; reflections of a coat or of clear glass are left out.
+AS_DIFFUSE = ("diffuse", "metallic", "glossy", "glass", "refraction", "transparent")
+
+
+class Shading:
+    """Albedo and emission of every triangle, constant or textured."""
+
+    def __init__(self, scene: SceneArrays) -> None:
+        self.scene = scene
+        self._material = np.asarray(scene.material, np.int32)
+        self._albedo = ColorField([m.total(*AS_DIFFUSE) for m in scene.materials], scene)
+        self._emission = ColorField([m.total("emission") for m in scene.materials], scene)
+
+    @property
+    def textured(self) -> bool:
+        """Whether any colour varies inside a triangle."""
+        return bool(self._albedo.varying or self._emission.varying)
+
+    @property
+    def albedo_varies(self) -> bool:
+        """Whether the reflectance varies inside a triangle."""
+        return bool(self._albedo.varying)
+
+    @property
+    def emission_varies(self) -> bool:
+        """Whether the emission varies inside a triangle."""
+        return bool(self._emission.varying)
+
+    def albedo(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n, 3) float32 diffuse reflectance clamped to 0..1."""
+        return np.clip(self._albedo.at(triangle, u, v), np.float32(0), np.float32(1))
+
+    def emission(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n, 3) float32 emitted radiance, W m-2 sr-1."""
+        return np.maximum(self._emission.at(triangle, u, v), np.float32(0))
+
+    def emissive(self) -> np.ndarray:
+        """(nt,) bool: triangles that may emit."""
+        may = np.array([not m.total("emission").is_black for m in self.scene.materials] or [False])
+        return may[self._material] if len(self._material) else np.zeros(0, bool)
+
+    def substitutions(self, lobes: frozenset[str]) -> tuple[Notice, ...]:
+        """What a method that solves only `lobes` replaces, as one notice for each material in use."""
+        out = []
+        for index in np.unique(self._material):
+            material: Material = self.scene.materials[index]
+            other = sorted({x.kind for x in material.lobes if not x.color.is_black} - lobes - {"emission", "diffuse"})
+            if other:
+                reason = f"{', '.join(other)} taken as diffuse by this method"
+                out.append(Notice(f"Material {material.name}", reason, "Choose a method that handles it, or accept the substitute"))
+        return tuple(dict.fromkeys(out))
+
+
+class ColorField:
+    """One colour for each material, with the constant ones in a table."""
+
+    def __init__(self, colors: list[Color], scene: SceneArrays) -> None:
+        self.colors = colors
+        self.scene = scene
+        self._material = np.asarray(scene.material, np.int32)
+        self.table = np.array([c.constant for c in colors] or [(0.0, 0.0, 0.0)], np.float32)
+        self.varying = [i for i, c in enumerate(colors) if not c.is_constant]
+        self.is_varying = np.array([not c.is_constant for c in colors] or [False])
+        self.by_triangle = self.table[self._material] if len(self._material) else self.table[:0]
+
+    def at(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n, 3) float32 values at barycentrics of triangles."""
+        values = self.by_triangle[triangle]
+        if not self.varying:
+            return values
+        material = self._material[triangle]
+        for index in self.varying:
+            which = np.flatnonzero(material == index)
+            if len(which):
+                values[which] = evaluate(self.colors[index], self.scene, triangle[which], u[which], v[which])
+        return values
+
+
+def evaluate(color: Color, scene: SceneArrays, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(n, 3) float32 value of a colour polynomial at barycentrics of triangles."""
+    total = np.zeros((len(triangle), 3), np.float32)
+    for term in color.terms:
+        product = np.broadcast_to(np.asarray(term.constant, np.float32), total.shape)
+        for source in term.sources:
+            product = product * source_at(source, scene, triangle, u, v)
+        total += product
+    return total
+
+
+def source_at(source: Source, scene: SceneArrays, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(n, 3) float32 value of one image or colour attribute; an object without the layer gives 0 (UV) or black (attribute)."""
+    layer = "uvs" if source.kind == "image" else "colors"
+    width = 2 if layer == "uvs" else 4
+    values = np.zeros((len(triangle), width), np.float32)
+    owner = scene.object[triangle]
+    for index in np.unique(owner):
+        obj = scene.objects[index]
+        name = source.name or (obj.render_uv if layer == "uvs" else "")
+        data = getattr(obj, layer).get(name)
+        if data is None:
+            continue
+        which = np.flatnonzero(owner == index)
+        corner = data[triangle[which] - obj.first_triangle]
+        a, b = u[which, None], v[which, None]
+        values[which] = corner[:, 0] * (1 - a - b) + corner[:, 1] * a + corner[:, 2] * b
+    if source.kind == "image":
+        m = np.asarray(source.transform, np.float32)
+        st = values @ m[:, :2].T + m[:, 2]
+        values = sample_texture(scene.textures[source.texture], st)
+    return np.repeat(values[:, 3:4], 3, axis=1) if source.alpha else values[:, :3]
+
+
+def sample_texture(texture: Texture, st: np.ndarray) -> np.ndarray:
+    """(n, 4) float32 texture values at image coordinates `st` (n, 2), bilinear or closest."""
+    height, width = texture.pixels.shape[:2]
+    size = np.array([width, height], np.float32)
+    st = np.where(np.isfinite(st), st, np.float32(0))
+    if texture.interpolation == "Closest":
+        cell = np.floor(st * size).astype(np.int64)
+        return _texel(texture, cell[:, 0], cell[:, 1])
+    p = st * size - np.float32(0.5)
+    low = np.floor(p)
+    f = (p - low).astype(np.float32)
+    x, y = low[:, 0].astype(np.int64), low[:, 1].astype(np.int64)
+    fx, fy = f[:, :1], f[:, 1:]
+    bottom = _texel(texture, x, y) * (1 - fx) + _texel(texture, x + 1, y) * fx
+    top = _texel(texture, x, y + 1) * (1 - fx) + _texel(texture, x + 1, y + 1) * fx
+    return bottom * (1 - fy) + top * fy
+
+
+def _texel(texture: Texture, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    height, width = texture.pixels.shape[:2]
+    if texture.extension == "REPEAT":
+        return texture.pixels[y % height, x % width]
+    if texture.extension == "MIRROR":
+        x, y = x % (2 * width), y % (2 * height)
+        return texture.pixels[np.minimum(y, 2 * height - 1 - y), np.minimum(x, 2 * width - 1 - x)]
+    values = texture.pixels[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
+    if texture.extension == "CLIP":
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        values = values * inside[:, None]
+    return values

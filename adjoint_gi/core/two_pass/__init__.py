@@ -1,0 +1,1 @@
+"""Elements first, walks that gather after."""

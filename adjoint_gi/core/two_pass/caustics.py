@@ -1,0 +1,109 @@
+"""Light of lamps and background that reaches element sides over mirrors and through glass: particles from the lamps, followed
+along chains of mirrors (Chen et al. 1991, "light ray tracing"), deposited on the elements where they meet diffuse surfaces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+
+import numpy as np
+
+from ..base.parallel import in_order
+from ..elements.elements import Elements
+from ..lights.emission import STEPS, bounding_radius
+from ..lights.emitters import Emitters
+from ..lights.lamp_emission import Background, lamp_source
+from ..radiosity.schemes import NO_LIMIT
+from ..walks.mirror_chains import Chains
+from .known_light import KnownLight
+
+BATCH = 1 << 14
+FEWEST = 256  # particles of a lamp
+
+
+class Caustics:
+    """Irradiance of element sides from lamps and background over at least one mirror, from fixed random numbers.
+
+    by_length   (depth + 2, 2 ne, 3) float64 W m-2; entry k holds the light that has flown k segments, so 0 and 1 are empty
+    unmet       the same shape: of this, what came over perfectly smooth lobes alone from lamps without size, which no ray from a
+                receiver can meet
+    rays        cast for it
+    """
+
+    def __init__(self, elements: Elements, emitters: Emitters, chains: Chains, particles: int) -> None:
+        self.elements, self.chains = elements, chains
+        world = elements.world
+        sides = 2 * elements.count
+        self.rays = 0
+        self.any = False
+        self._sources = []
+        if chains.any and particles:
+            radius = bounding_radius(world)
+            sized = emitters.lamps.sized
+            self._sources = [(lamp_source(light, world.center, radius), not sized[i]) for i, light in enumerate(world.scene.lights)]
+            if any(c > 0 for c in world.scene.background):
+                self._sources.append((Background(world.scene.background, radius), False))
+            self._sources = [s for s in self._sources if s[0].power > 0]
+        power = np.array([s.power for s, _ in self._sources])
+        self._counts = [max(FEWEST, int(particles * p / power.sum())) for p in power]
+        self.by_length = np.zeros((chains.depth + 2 if self._sources else 2, sides, 3))
+        self.unmet = np.zeros_like(self.by_length)
+
+    @property
+    def total(self) -> np.ndarray:
+        """(2 ne, 3) float64 W m-2 of all lengths."""
+        return self.by_length.sum(axis=0)
+
+    def run(self) -> Iterator[float]:
+        """Yield the share done."""
+        items = []
+        for index, count in enumerate(self._counts):
+            items += [(index, first, min(first + BATCH, count)) for first in range(0, count, BATCH)]
+        with closing(in_order(self._batch, items)) as results:
+            for number, (found, rays) in enumerate(results):
+                self.rays += rays
+                for length, side, power, unmet in found:
+                    area = self.elements.area[side >> 1]
+                    self.any |= len(side) > 0
+                    for c in range(3):
+                        h = power[:, c] / area
+                        self.by_length[length, :, c] += np.bincount(side, h, self.by_length.shape[1])
+                        self.unmet[length, :, c] += np.bincount(side[unmet], h[unmet], self.by_length.shape[1])
+                yield (number + 1) / len(items)
+
+    def unmet_light(self, low: int, high: int) -> KnownLight | None:
+        """What is `unmet`, for a view pass that counts paths of `low` to `high` segments; None where there is none."""
+        if not self.unmet.any():
+            return None
+        zero, sums = np.zeros_like(self.unmet[0]), {}
+        longest = len(self.unmet) - 1
+
+        def lengths(segments: int) -> tuple[np.ndarray, np.ndarray]:
+            window = min(max(low - segments, 0), longest + 1), min(max(high - segments, -1), longest)
+            if window not in sums:
+                sums[window] = self.unmet[window[0] : window[1] + 1].sum(axis=0)
+            return zero, sums[window]
+
+        out = KnownLight(self.elements, lengths, high if high < NO_LIMIT else low)
+        out.prepare()
+        return out
+
+    def _batch(self, item: tuple[int, int, int]) -> tuple[list, int]:
+        """Particles first to last of a source: for each length the sides (m,), power (m, 3) in W and whether it is `unmet`; rays."""
+        index, first, last = item
+        source, pointlike = self._sources[index]
+        rng = np.random.default_rng([19, index, first])
+        square = np.arange(first + 1, last + 1)[:, None] * STEPS + 0.5
+        start = source.draw(np.zeros(last - first, np.int64), square - np.floor(square), rng)
+        flux = start.flux / np.float32(self._counts[index])
+        found, rays = [], 0
+        origin, direction = (np.ascontiguousarray(x, np.float32) for x in (start.origin, start.direction))
+        for met in self.chains.follow(origin, direction, rng, start.dark):
+            rays += len(met.row) + len(met.away)
+            if met.segments < 2 or not len(met.row):
+                continue
+            s = met.surface
+            power = flux[met.row] * met.weight * met.share[:, None]
+            found.append((met.segments, self.elements.side(s.triangle, s.u, s.v, s.side), power, met.clear & pointlike))
+        return found, rays

@@ -1,0 +1,1 @@
+"""Monte Carlo transport: walks that gather and walks that shoot."""

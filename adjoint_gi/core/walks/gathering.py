@@ -1,0 +1,244 @@
+"""What gathering methods share: go over all receivers in batches, estimate what arrives or leaves there, and add it up.
+
+A method gives `estimate(surface, wo, rng) -> Gathered`: the radiance that surface points send towards `wo` (n, 3), or, where
+`wo` is None, the irradiance on the points. Everything else - emission, background and lamps that a camera sees, albedo, normals,
+partial results, error history - is the same for all and done here.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from ..base.errors import Notice
+from ..base.parallel import in_order
+from ..base.settings import Settings
+from ..lights.emitters import Emitters
+from ..method.registry import MethodSpec
+from ..method.solution import EnergyBalance, Solution, Step
+from ..receivers.base import Points, Receivers
+from ..receivers.film import Film, read_surfaces
+from ..scene.world import Surface, World
+from .radiance import Gathered
+
+BATCH = 1 << 14
+PAUSE = 0.1  # seconds between steps, about
+
+Estimate = Callable[[Surface, np.ndarray | None, np.random.Generator], Gathered]
+# Draws the points of samples (receiver (n,), number of the sample (n,)) and gives the estimate of just these points.
+Place = Callable[[np.ndarray, np.ndarray, np.random.Generator], tuple[Points, Estimate]]
+
+
+class Clock:
+    """Seconds of work, without the time in which nobody asked for the next step."""
+
+    def __init__(self) -> None:
+        self._began = time.perf_counter()
+        self._last = self._began
+
+    @property
+    def seconds(self) -> float:
+        """Worked so far."""
+        return time.perf_counter() - self._began
+
+    def due(self) -> bool:
+        """Whether it is time for a step."""
+        return time.perf_counter() - self._last >= PAUSE
+
+    def pause(self, step: Step) -> Iterator[Step]:
+        """Yield `step` and leave out the time until the generator is continued."""
+        left = time.perf_counter()
+        yield step
+        self._last = time.perf_counter()
+        self._began += self._last - left
+
+
+@dataclass
+class Run:
+    """One solve of a gathering method: what it is about, its clock, and what it has found so far."""
+
+    spec: MethodSpec
+    world: World
+    receivers: Receivers
+    settings: Settings
+    emitters: Emitters
+    warnings: tuple[Notice, ...] = ()
+    rays: int = 0
+    partial: bool = True
+    balance: EnergyBalance | None = None
+
+    def __post_init__(self) -> None:
+        self.clock = Clock()
+        self.film = Film(self.receivers)
+        self.surfaces: dict[str, np.ndarray] = {}
+        self.history: list[tuple[float, float]] = []
+        self.extra: dict[str, np.ndarray] = {}
+        self.warnings = self.world.scene.warnings + self.world.shading.substitutions(self.spec.lobes) + self.warnings
+
+    @property
+    def is_camera(self) -> bool:
+        """Whether radiance is wanted, not irradiance."""
+        return self.receivers.measure == "radiance"
+
+    def steps(
+        self, estimate: Estimate | None, samples: int, rng: np.random.Generator, place: Place | None = None, batch: int = BATCH
+    ) -> Iterator[Step]:
+        """Random samples of every receiver, pass by pass, with a generator for each batch of `batch` samples, then the finished result.
+
+        `place` stands in for `estimate` in methods that choose the random numbers of every sample themselves.
+        """
+        seed = rng.integers(0, 1 << 63, 4).tolist()
+
+        def work(item: tuple[int, int, int, int]) -> tuple[tuple, tuple]:
+            first, last, many, index = item
+            generator = np.random.Generator(np.random.SFC64([*seed, first, index]))
+            owner = np.repeat(np.arange(first, last), many)
+            if place is None:
+                points, here = self.receivers.sample(owner, generator), estimate
+            else:
+                points, here = place(owner, np.tile(np.arange(index, index + many), last - first), generator)
+            return item, self._evaluate(points, first, last, here, generator)
+
+        yield from self._read_surfaces(before=True)
+        total, done = self.receivers.count * samples, 0
+        with closing(in_order(work, _batches(self.receivers.count, samples, batch))) as results:
+            for (first, last, many, _), sums in results:
+                self._add(first, last, many, sums)
+                done += many * (last - first)
+                if last == self.receivers.count:
+                    self.measure()
+                if self.clock.due() and done < total:
+                    text = f"{done / self.receivers.count:.0f} of {samples} samples"
+                    yield from self.clock.pause(Step(done / total, text, self.solution))
+        yield from self.finish(f"{samples} samples")
+
+    def sites(self, estimate: Estimate, batch: int = BATCH) -> Iterator[Step]:
+        """Every receiver's fixed points once, `batch` at a time: for methods without random numbers.
+
+        `estimate` gets a generator of fixed seed.
+        """
+
+        def work(item: tuple[int, Points]) -> tuple[int, int, np.ndarray, tuple]:
+            index, points = item
+            generator = np.random.default_rng([11, index])
+            first, last = int(points.receiver.min()), int(points.receiver.max()) + 1
+            many = np.bincount(points.receiver - first, minlength=last - first)
+            return first, last, many, self._evaluate(points, first, last, estimate, generator)
+
+        yield from self._read_surfaces(before=True)
+        with closing(in_order(work, enumerate(sliced(self.receivers.sites(), batch)))) as results:
+            for first, last, many, sums in results:
+                self._add(first, last, many, sums)
+                if self.clock.due():
+                    share = last / self.receivers.count
+                    yield from self.clock.pause(Step(min(share, 0.999), f"{share:.0%} of the receivers", self.solution))
+        yield from self.finish("all receivers")
+
+    def measure(self) -> None:
+        """Note the relative standard error after a pass over all receivers."""
+        error = self.film.relative_error()
+        if error is not None:
+            self.history.append((self.clock.seconds, error))
+
+    def finish(self, text: str) -> Iterator[Step]:
+        """Read what only a finished picture gets, and yield the last step."""
+        yield from self._read_surfaces(before=False)
+        self.partial = False
+        yield Step(1.0, text, self.solution)
+
+    def _read_surfaces(self, before: bool) -> Iterator[Step]:
+        # Camera samples find out by themselves what they see; the normals and depths are read last.
+        if before == self.is_camera:
+            return
+        for done in read_surfaces(self.world, self.receivers, self.surfaces):
+            if self.clock.due():
+                yield from self.clock.pause(Step(0.0 if before else 1.0, f"Reading surfaces, {done:.0%}", self.solution))
+
+    def _evaluate(self, points: Points, first: int, last: int, estimate: Estimate, rng: np.random.Generator) -> tuple:
+        """Sums over the receivers first to last: emitted, direct, indirect, albedo (m, 3) float64 and the rays cast."""
+        on = np.flatnonzero(points.triangle >= 0)
+        towards = None if points.towards is None else points.towards[on]
+        surface = self.world.surface(points.triangle[on], points.u[on], points.v[on], towards)
+        found = estimate(surface, towards if self.is_camera else None, rng) if len(on) else Gathered(np.zeros((0, 3)), np.zeros((0, 3)), 0)
+        owner = points.receiver - first
+
+        def total(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+            return np.stack([np.bincount(at, values[:, c], last - first) for c in range(3)], axis=1)
+
+        direct, indirect = (np.where(np.isfinite(x), x, 0) for x in (found.direct, found.indirect))
+        sums = [total(direct, owner[on]), total(indirect, owner[on])]
+        if self.is_camera:
+            emitted = np.zeros((len(owner), 3), np.float32)
+            if self.settings.min_length == 0:
+                emitted[points.triangle < 0] = self.emitters.background
+                emitted[on] = self.world.emission(surface)
+                distance = np.where(points.triangle < 0, np.float32(np.inf), points.distance)
+                emitted += self.emitters.along(points.origin, -points.towards, distance)
+            sums += [total(emitted, owner), total(self.world.albedo(surface), owner[on])]
+        return sums, points.rays + found.rays
+
+    def _add(self, first: int, last: int, many: int | np.ndarray, sums: tuple) -> None:
+        values, rays = sums
+        part = slice(first, last)
+        self.film.add(part, many, values[0], values[1])
+        if self.is_camera:
+            self.film.emitted[part] += values[2]
+            self.film.albedo[part] += values[3]
+        self.rays += rays
+
+    def solution(self) -> Solution:
+        """A copy of the result as it stands."""
+        film, surfaces = self.film, self.surfaces
+        weight = (film.count > 0).astype(np.float32)
+        extra = dict(self.extra)
+        if self.is_camera:
+            emitted, albedo = film.mean(film.emitted), film.mean(film.albedo)
+            extra |= {k: surfaces[k] for k in ("normal", "depth") if k in surfaces}
+        elif surfaces:
+            albedo, emitted = surfaces["albedo"], surfaces["emission"] * np.float32(np.pi * (self.settings.min_length == 0))
+            weight = weight * (surfaces["weight"] > 0)
+        else:
+            emitted = albedo = np.zeros((self.receivers.count, 3), np.float32)
+        return Solution(
+            self.spec.id,
+            self.receivers.measure,
+            emitted,
+            film.mean(film.direct),
+            film.mean(film.indirect),
+            albedo,
+            weight,
+            rays=self.rays,
+            seconds=self.clock.seconds,
+            balance=self.balance,
+            emitted_flux=float(self.emitters.power.sum()),
+            history=tuple(self.history),
+            warnings=self.warnings,
+            settings=self.settings.as_dict(),
+            partial=self.partial,
+            extra=extra,
+        )
+
+
+def sliced(chunks: Iterator[Points], batch: int) -> Iterator[Points]:
+    """The points of `chunks` in groups of at most `batch`."""
+    for points in chunks:
+        for a in range(0, len(points.receiver), batch):
+            some = {f.name: getattr(points, f.name) for f in fields(points)}
+            some = {name: x[a : a + batch] if isinstance(x, np.ndarray) else x for name, x in some.items()}
+            yield Points(**(some | {"rays": points.rays if a == 0 else 0}))
+
+
+def _batches(count: int, samples: int, batch: int) -> Iterator[tuple[int, int, int, int]]:
+    """(first receiver, last, samples, index of the first sample): a quick full pass first, then passes of up to 16 samples."""
+    index = 0
+    size = max(1, min(16, batch // max(1, count)))
+    while index < samples:
+        now = min(size if index == 0 else min(index, 16), samples - index)
+        block = max(1, batch // now)
+        for first in range(0, count, block):
+            yield first, min(first + block, count), now, index
+        index += now

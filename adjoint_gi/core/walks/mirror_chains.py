@@ -1,0 +1,127 @@
+"""Chains of mirrors: rays that go on over mirror-like, glossy and clear surfaces until they meet diffuse ones.
+
+What extended form factors (Wallace 1987; Sillion and Puech 1989) and caustics are made of. A ray that meets a surface gives its
+light to the diffuse lobe there and goes on by one direction of the other lobes, drawn by their BSDF, so that rays do not multiply.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..bsdf import mirrors
+from ..bsdf import table as bsdf
+from ..scene.shading import ColorField
+from ..scene.world import Surface, World
+from .radiance import leaving, take
+
+ROULETTE = 4  # segments after which chains end at random
+
+
+@dataclass(frozen=True, eq=False)
+class Met:
+    """What rays meet at the end of one segment.
+
+    segments   flown so far
+    row        (m,) which ray; surface: where, on the side it came from; weight (m, 3) float32 of what it carries
+    share      (m,) float32 of that which a coat lets through to the diffuse lobe, 1 where there is none
+    sent       (m, 3) float32 weight that goes on from there
+    clear      (m,) bool: all lobes on the way were perfectly smooth
+    away, lost (k,), (k, 3): rays that escape, and their weight
+    """
+
+    segments: int
+    row: np.ndarray
+    surface: Surface
+    weight: np.ndarray
+    share: np.ndarray
+    sent: np.ndarray
+    clear: np.ndarray
+    away: np.ndarray
+    lost: np.ndarray
+
+
+class Chains:
+    """Follows chains in a world. depth: surfaces in a row that a chain may leave; rough: whether it goes on by rough lobes, too."""
+
+    def __init__(self, world: World, depth: int, rough: bool = True) -> None:
+        self.world = world
+        self.table = bsdf.BsdfTable(world.scene)
+        self.depth = depth
+        self.rough = rough
+        shiny = [any(x.kind in bsdf.KINDS and not x.color.is_black for x in m.lobes) for m in world.scene.materials]
+        self.shiny = np.array(shiny or [False])[np.asarray(world.scene.material, np.int64)]
+        self.any = bool(self.shiny.any())
+        self._diffuse = ColorField([m.total("diffuse") for m in world.scene.materials], world.scene)
+        self.albedo_varies = bool(self._diffuse.varying)
+
+    def diffuse(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n, 3) float32 albedo of the diffuse lobe alone, what lies on it left out."""
+        return np.clip(self._diffuse.at(triangle, u, v), np.float32(0), np.float32(1))
+
+    def share(self, surface: Surface, wo: np.ndarray) -> np.ndarray:
+        """(n,) float32 what coats leave for the diffuse lobe of light that leaves towards, or comes from, `wo` (n, 3)."""
+        out = np.ones(len(wo), np.float32)
+        if not self.table.coat.any():
+            return out
+        material = np.asarray(self.world.scene.material)[surface.triangle]
+        return out - self.table.coat_at(material, np.einsum("ij,ij->i", surface.ns, wo))
+
+    def follow(self, origin: np.ndarray, wi: np.ndarray, rng: np.random.Generator, dark: np.ndarray | None = None) -> Iterator[Met]:
+        """Follow rays (n, 3) float32 of weight 1 and yield what they meet, segment by segment.
+
+        What is hit closer than `dark` (n,) on the first segment counts as escaped.
+        """
+        row = np.arange(len(origin))
+        weight = np.ones((len(origin), 3), np.float32)
+        clear = np.ones(len(origin), bool)
+        for segments in range(1, self.depth + 2):
+            if not len(row):
+                return
+            triangle, u, v, t = self.world.intersect(origin, wi)
+            on = triangle >= 0
+            if dark is not None and segments == 1:
+                on &= t >= dark
+            hit, miss = np.flatnonzero(on), np.flatnonzero(~on)
+            wo = -wi[hit]
+            surface = self.world.surface(triangle[hit], u[hit], v[hit], wo)
+            away, lost = row[miss], weight[miss]
+            row, weight, clear = row[hit], weight[hit], clear[hit]
+            share = self.share(surface, wo)
+            sent = np.zeros_like(weight)
+            go = np.zeros(0, np.int64)
+            smooth = clear
+            if self.any and segments <= self.depth:
+                go, origin, wi, value, delta = self._scatter(surface, wo, weight, segments, rng)
+                sent[go] = value
+                smooth = clear[go] & delta
+            yield Met(segments, row, surface, weight, share, sent, clear, away, lost)
+            row, weight, clear = row[go], sent[go], smooth
+
+    def _scatter(
+        self, surface: Surface, wo: np.ndarray, weight: np.ndarray, segments: int, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Rows (k,) that go on, their origins, directions and weights (k, 3), and whether by a perfectly smooth lobe (k,)."""
+        at = np.flatnonzero(self.shiny[surface.triangle])
+        part = take(surface, at)
+        lobes = self.table.at(part.triangle, part.u, part.v, part.ns, part.side, wo[at])
+        lobes = without_diffuse(lobes, np.ones(len(at), bool))
+        if not self.rough:
+            lobes = mirrors.without(lobes, tuple(~s.delta for s in lobes.slots))
+        scattered = bsdf.sample(lobes, rng)
+        go = leaving(part, scattered)
+        value = weight[at[go]] * scattered.weight[go]
+        if segments >= ROULETTE:
+            chance = np.clip(value.max(axis=1), np.float32(0.05), np.float32(1))
+            keep = np.flatnonzero(rng.random(len(go), np.float32) < chance)
+            go, value = go[keep], value[keep] / chance[keep, None]
+        side = np.where(scattered.through[go], np.float32(-1), np.float32(1))[:, None]
+        origin = part.position[go] + side * np.float32(self.world.offset) * part.ng[go]
+        return at[go], np.ascontiguousarray(origin), np.ascontiguousarray(scattered.wi[go]), value, scattered.delta[go]
+
+
+def without_diffuse(lobes: bsdf.Lobes, which: np.ndarray) -> bsdf.Lobes:
+    """The same lobes with no diffuse one in the rows `which` (n,) bool."""
+    return replace(lobes, diffuse=np.where(which[:, None], np.float32(0), lobes.diffuse))
