@@ -162,7 +162,8 @@ class _Run:
         for share in self.transport.cast():
             yield from self._pause(lamps_end + (rays_end - lamps_end) * share, f"Rays of {len(self.first):,} element sides")
         if self.emitters.any_background:
-            arriving += self.transport.sky()[..., None] * self.emitters.background
+            sky = self.emitters.escaping(self.transport.middles()).reshape(arriving.shape)
+            arriving += self.transport.sky()[..., None] * sky
         leaving = np.repeat(self.elements.emitted / np.pi, 2, axis=0)[:, None] * np.ones((1, self.bins.size, 1))
         self.warnings += dark_notices(self.elements, arriving)
         # 4. The system.

@@ -198,7 +198,7 @@ def notices(emitters: Emitters, settings: PathSettings) -> tuple[Notice, ...]:
         return ()
     names = [
         x.name
-        for x, sized, power in zip(emitters.world.scene.lights, emitters.lamps.sized, emitters.lamps.power, strict=True)
+        for x, sized, power in zip(emitters.world.scene.lights, emitters.lamps.sized, emitters.lamps.importance, strict=True)
         if power and not sized
     ]
     return tuple(Notice(n, "has no size, so no path meets it", "Turn on Importance over Lights, or give it a size") for n in names)

@@ -36,7 +36,7 @@ from ..adjoint_gi.core.elements.rays import ElementRays
 from ..adjoint_gi.core.flux.detectors import Detector, FaceDetector, Flux, detector, flux_by_particles, flux_by_potential
 from ..adjoint_gi.core.lights.emission import Particles
 from ..adjoint_gi.core.lights.emitters import Emitters
-from ..adjoint_gi.core.lights.mesh_emission import cosine_directions
+from ..adjoint_gi.core.lights.outgoing import cosine_directions
 from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
 from ..adjoint_gi.core.method.solution import Solution, Step
 from ..adjoint_gi.core.radiosity.factor_matrix import FactorMatrix, bytes_needed

@@ -214,7 +214,7 @@ class Tracer:
         found, reflected = np.zeros_like(front.weight), np.zeros_like(front.weight)
         if s.min_length <= depth <= s.max_length:
             # Emission seen in mirrors and through glass: the light points stand only for the other lobes.
-            found[triangle < 0] = self.emitters.background
+            found[triangle < 0] = self.emitters.escaping(front.wi[triangle < 0])
             found[hit] = self.world.emission(surface)
             found += self.emitters.along(front.origin, front.wi, np.where(triangle < 0, INF, t))
             found *= front.weight

@@ -8,8 +8,7 @@ import math
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.lights.emission import Emission
-from adjgi.adjoint_gi.core.lights.lamp_emission import cone_directions, disk
-from adjgi.adjoint_gi.core.lights.mesh_emission import cosine_directions
+from adjgi.adjoint_gi.core.lights.outgoing import cone_directions, cosine_directions, disk
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, Source, Term, Texture
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World

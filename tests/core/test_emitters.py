@@ -333,7 +333,7 @@ def test_rays_meet_what_is_drawn(name):
     beyond = np.where(s.distance > 1e20, np.inf, s.distance * 1.001).astype(np.float32)
     met = list(emitters.lamps.seen(origin, s.wi, beyond, emitters.sized))
     assert len(met) == 1
-    _, rows, radiance, pdf = met[0]
+    _, (rows, radiance, pdf) = met[0]
     # The very rim is missed by rounding; a narrow lamp is dark in the corners of the window that is drawn from.
     assert len(rows) > 0.995 * (s.radiance[0] > 0).sum() and (name == "narrow" or len(rows) > 19_900)
     # A factor of the cosine at the rim of a sphere is ill conditioned: compare medians and 99 %.
@@ -341,7 +341,7 @@ def test_rays_meet_what_is_drawn(name):
         assert np.quantile(np.abs(a - b) / np.abs(b).max(), 0.99) < 1e-3
     if name != "sun":
         nearer = list(emitters.lamps.seen(origin, s.wi, (s.distance * 0.999).astype(np.float32), emitters.sized))
-        assert sum(len(r) for _, r, _, _ in nearer) < 0.01 * 20_000
+        assert sum(len(seen.rows) for _, seen in nearer) < 0.01 * 20_000
 
 
 @pytest.mark.parametrize("name", SIZED)
@@ -363,8 +363,8 @@ def test_drawn_directions_have_their_density(name):
         r = math.sqrt(1 - c * c)
         d = np.stack([r * np.cos(phis), r * np.sin(phis), np.full(len(phis), c)]).astype(np.float32)
         o = np.repeat(p[:, None], len(phis), axis=1).astype(np.float32)
-        for _, which, _, pdf in emitters.lamps.seen(o, d, np.full(len(phis), np.inf, np.float32), emitters.sized):
-            expected[i, which] += pdf
+        for _, seen in emitters.lamps.seen(o, d, np.full(len(phis), np.inf, np.float32), emitters.sized):
+            expected[i, seen.rows] += seen.pdf_w
     expected = expected.reshape(rows, fine, columns_, fine).mean(axis=(1, 3)).ravel() * 4 * PI / (rows * columns_)
     assert abs(expected.sum() - w.shape[1] / n) < 5e-3 + Z * 0.5 / math.sqrt(n)
     counts = np.bincount(cells, minlength=rows * columns_)

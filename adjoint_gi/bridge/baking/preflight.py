@@ -13,6 +13,7 @@ import bpy
 from ...core.base.errors import AdjointError, Notice, TargetError
 from ...core.base.resources import SHARE, available_memory, size_text
 from ...core.elements.elements import Elements
+from ...core.lights.background import Background
 from ...core.receivers.base import Receivers
 from ...core.receivers.texels import memory as lightmap_memory
 from ...core.scene.arrays import SceneArrays
@@ -171,7 +172,7 @@ def receiving(arrays: SceneArrays, request: BakeRequest) -> list[int]:
 def emits(world: World) -> bool:
     """Whether there is any light at all."""
     lamps = any(any(light.color) for light in world.scene.lights)
-    return lamps or any(world.scene.background) or bool(world.shading.emissive().any())
+    return lamps or Background(world).any or bool(world.shading.emissive().any())
 
 
 def estimates(world: World, request: BakeRequest, objects: int) -> list[Notice]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...core.lights.background import Background
 from ...core.method.registry import MethodSpec
 from ...core.method.solution import Solution
 from ...core.receivers.base import CameraReceivers
@@ -35,11 +36,13 @@ def passes(spec: MethodSpec | None) -> Iterator[tuple[str, int, str, str]]:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """What the camera meets, without light: alpha (n,), depth (n,) along the axis in m, normal (n, 3), all float32."""
+    """What the camera meets: alpha (n,), depth (n,) along the axis in m, normal (n, 3), and the radiance of the background that it
+    sees, `behind` (n, 3); all float32."""
 
     alpha: np.ndarray
     depth: np.ndarray
     normal: np.ndarray
+    behind: np.ndarray
 
     @staticmethod
     def of(world: World, receivers: CameraReceivers) -> Geometry:
@@ -48,7 +51,8 @@ class Geometry:
         camera = world.scene.camera
         forward = np.asarray(camera.forward, np.float32)
         hits, rays = np.zeros(n), np.zeros(n)
-        normal = np.zeros((n, 3))
+        normal, behind = np.zeros((n, 3)), np.zeros((n, 3))
+        background = Background(world)
         depth = np.full(n, FAR, np.float32)
         for points in receivers.sites():
             hit = points.triangle >= 0
@@ -57,14 +61,18 @@ class Geometry:
             surface = world.surface(points.triangle[at], points.u[at], points.v[at], points.towards[at])
             rays += np.bincount(points.receiver, minlength=n)
             hits += np.bincount(owner, minlength=n)
+            sky = background.radiance(-points.towards[~hit].T)
             for c in range(3):
                 normal[:, c] += np.bincount(owner, surface.ns[:, c], minlength=n)
+                behind[:, c] += np.bincount(points.receiver[~hit], sky[c], minlength=n)
             # The points of one pixel stand together, all in the same chunk.
             first = np.flatnonzero(np.diff(points.receiver, prepend=-1))
             along = camera.clip_start - np.where(hit, points.distance, 0) * (points.towards @ forward)
             depth[points.receiver[first]] = np.minimum.reduceat(np.where(hit, along, FAR), first)
         length = np.linalg.norm(normal, axis=1, keepdims=True)
-        return Geometry((hits / np.maximum(rays, 1)).astype(np.float32), depth, (normal / np.maximum(length, 1e-12)).astype(np.float32))
+        rays = np.maximum(rays, 1)
+        unit = normal / np.maximum(length, 1e-12)
+        return Geometry((hits / rays).astype(np.float32), depth, unit.astype(np.float32), (behind / rays[:, None]).astype(np.float32))
 
 
 def pixels(spec: MethodSpec, solution: Solution, geometry: Geometry, plan: Plan) -> dict[str, np.ndarray]:
@@ -73,7 +81,7 @@ def pixels(spec: MethodSpec, solution: Solution, geometry: Geometry, plan: Plan)
     alpha = np.ones_like(geometry.alpha)
     if plan.transparent:
         alpha = geometry.alpha
-        behind = (1 - alpha)[:, None] * np.asarray(plan.arrays.background, np.float32) * (solution.measure == "radiance")
+        behind = geometry.behind * (solution.measure == "radiance")
         radiance, emission = (np.where(alpha[:, None] > 0, np.maximum(x - behind, 0), 0) for x in (radiance, emission))
     out = {
         "Combined": np.concatenate([radiance, alpha[:, None]], axis=1),

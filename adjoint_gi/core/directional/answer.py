@@ -96,7 +96,7 @@ class DirectionalAnswer:
         side = 2 * element + (surface.side < 0)
         emitted = np.zeros((len(points.receiver), 3), np.float32)
         if self.settings.min_length == 0:
-            emitted[:] = self.emitters.background
+            emitted[:] = self.emitters.escaping(-points.towards)
             emitted[on] = world.emission(surface)
             distance = np.where(points.triangle < 0, np.float32(np.inf), points.distance)
             emitted += self.emitters.along(points.origin, -points.towards, distance)

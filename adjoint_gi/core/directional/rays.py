@@ -99,7 +99,7 @@ class ArrivingLight:
             if self.background:
                 met, _ = self.caster.trace(side, a, b, w)
                 out = np.flatnonzero(met < 0)
-                found.append((side[out], w[out], np.repeat(np.pi * self.emitters.background[None], len(out), axis=0)))
+                found.append((side[out], w[out], np.pi * self.emitters.escaping(self.caster.to_world(side[out], w[out]))))
                 rays += len(side)
             return first, found, rays
 

@@ -109,6 +109,12 @@ class DirectionalTransport:
         """(n, bins) share of the rays of every pair that escapes."""
         return (self.met < 0).reshape(-1, self.rays).mean(axis=1).reshape(self.count, self.bins.size)
 
+    def middles(self) -> np.ndarray:
+        """(n bins, 3) float32 unit directions in the world of the middles of every pair's bin."""
+        half = np.full(self.bins.size, 0.5)
+        local = self.bins.directions(np.arange(self.bins.size), half, half)
+        return self.caster.to_world(np.repeat(np.arange(self.count), self.bins.size), np.tile(local, (self.count, 1)))
+
     # ---- schemes: each yields the residual relative to the solution after every iteration, and None in between.
 
     def neumann(self, leaving: np.ndarray, arriving: np.ndarray, high: int, tolerance: float, limit: int) -> Iterator[tuple]:

@@ -77,9 +77,9 @@ class ElementAnswer:
         self.identity = receivers.kind == "elements" and getattr(receivers, "elements", None) is elements
         self.emission = min_length == 0
         self.gather = gather if min_length <= 1 <= max_length and not self.identity else None
-        # Lamps with a size are seen by the camera, in front of surfaces or against the background.
-        seen = self.emission and receivers.measure == "radiance" and elements.world.scene.lights
-        self.lamps = Emitters(elements.world) if seen else None
+        # The background is seen by the camera, and lamps with a size in front of it and of surfaces.
+        seen = self.emission and receivers.measure == "radiance"
+        self.emitters = Emitters(elements.world) if seen else None
         self.rays = 0
         self.ready = 0.0
         self._sites: list[_Sites] = []
@@ -129,10 +129,9 @@ class ElementAnswer:
         if self.emission:
             emitted[on] = emission if radiance else np.float32(np.pi) * emission
             if radiance:
-                emitted[~on] = world.scene.background
-                if self.lamps is not None:
-                    distance = np.where(on, points.distance, np.float32(np.inf))
-                    emitted += self.lamps.along(points.origin, -points.towards, distance)
+                emitted[~on] = self.emitters.escaping(-points.towards[~on])
+                distance = np.where(on, points.distance, np.float32(np.inf))
+                emitted += self.emitters.along(points.origin, -points.towards, distance)
         direct = np.zeros((len(triangle), 3), np.float32)
         if self.gather is not None and len(triangle):
             # A generator for each chunk, so that neither threads nor order change the result.

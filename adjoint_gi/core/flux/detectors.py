@@ -222,7 +222,7 @@ def flux_by_potential(elements: Elements, arriving: np.ndarray, parts: Sequence[
 def flux_by_particles(world: World, detect: FaceDetector, particles: int, max_length: int, rng: np.random.Generator) -> Flux:
     """Phi = E / n sum_i [g(x_i0) + sum_k g(x_ik)] (Eq. 15) for faces: particles of all lights; a hit counts what the surface scatters."""
     emission = Emission(world)
-    own = emission.of_triangles(world.triangle_count)[detect.mask].sum(axis=0) * (1.0 if detect.both else 0.5)
+    own = emission.mesh.flux_of_triangles()[detect.mask].sum(axis=0) * (1.0 if detect.both else 0.5)
     if emission.is_dark or particles == 0:
         return Flux(np.stack([own, np.zeros(3), np.zeros(3)]), np.zeros((3, 3)))
     table = BsdfTable(world.scene)

@@ -88,7 +88,7 @@ def from_hits(
             yield rows, radiance
     if emitters.any_background:
         rows = np.flatnonzero(triangle < 0)
-        yield rows, np.repeat(emitters.background[:, None], len(rows), axis=1)
+        yield rows, emitters.background.radiance(w.take(rows, axis=1))
     if len(emitters.shared):
         yield np.arange(len(t)), emitters.lamps_met(origin, w, np.where(triangle < 0, INF, t), pdf, mesh)
 

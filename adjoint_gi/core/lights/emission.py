@@ -1,4 +1,4 @@
-"""Draws particles from everything that emits: meshes, lamps, the sun and the background.
+"""Everything that emits, for shooting: particles from meshes, lamps and the background.
 
 The emission function of Pattanaik and Mudur (review, section 8, Eq. 15), sampled so that the particles of one draw carry
 equal power. Lamps have no geometry of their own: nothing is hit at the place where a particle starts.
@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..scene.world import World
-from .lamp_emission import Background, lamp_source
-from .mesh_emission import MeshEmission
+from .background import Background
+from .lamps import Lamps
+from .mesh import MeshLights
 
 # Steps of the four-dimensional additive recurrence: powers of 1 / x with x^5 = x + 1 (M. Roberts, "The unreasonable
 # effectiveness of quasirandom sequences", 2018).
@@ -24,7 +25,7 @@ class Particles:
     """Particles on their way.
 
     origin, direction (n, 3) float32, recentred and unit; weight (n, 3) float32 power of each colour, W;
-    light (n,) int32 index into `Emission.names`; dark (n,) float32: how far each lights nothing (`PointEmission`), metres;
+    light (n,) int32 index into `Emission.names`; dark (n,) float32: how far each lights nothing (`PointLights`), metres;
     reach (n,) float32 or None: how far the first flight may go (a camera's far clipping plane), metres.
     """
 
@@ -45,19 +46,16 @@ class Emission:
     """
 
     def __init__(self, world: World) -> None:
-        radius = bounding_radius(world)
-        sources = MeshEmission.of(world)
-        sources += [s for s in (lamp_source(light, world.center, radius) for light in world.scene.lights) if s.power > 0]
-        if any(c > 0 for c in world.scene.background):
-            sources.append(Background(world.scene.background, radius))
+        self.mesh = MeshLights(world)
+        sources = self.mesh.sources() + Lamps(world).sources() + Background(world).sources()
         self._sources = sources
         self.names = tuple(s.name for s in sources)
         self.flux = np.array([s.flux for s in sources], np.float64).reshape(-1, 3)
 
         # Every source is divided into cells of known power (a lamp is one cell), and a particle first chooses its cell.
-        counts = [len(s.cells) for s in sources]
-        self._first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        power = np.concatenate([s.cells for s in sources]) if sources else np.zeros(0)
+        cells = [s.cells for s in sources]
+        self._first = np.concatenate([[0], np.cumsum([len(c) for c in cells])]).astype(np.int64)
+        power = np.concatenate(cells) if sources else np.zeros(0)
         self._probability = power / power.sum() if len(power) else power
         self._cumulative = np.cumsum(self._probability)
         # Rounding may leave the last sum below 1, and cells after the last lit one have no power.
@@ -72,15 +70,6 @@ class Emission:
     def total(self) -> np.ndarray:
         """(3,) float64 emitted power, W."""
         return self.flux.sum(axis=0)
-
-    def of_triangles(self, count: int) -> np.ndarray:
-        """(count, 3) float64 power that each of the `count` triangles of the world emits from both sides together, W."""
-        out = np.zeros((count, 3))
-        for source in self._sources:
-            if isinstance(source, MeshEmission):
-                for c in range(3):
-                    out[:, c] += np.bincount(source.triangle, source.cell_flux[:, c], count)
-        return out
 
     def draw(self, n: int, rng: np.random.Generator) -> Particles:
         """`n` particles whose summed weight is the emitted power in expectation (exactly, where no emission is textured).
@@ -104,19 +93,10 @@ class Emission:
         for index, source in enumerate(self._sources):
             part = slice(bound[index], bound[index + 1])
             if part.stop > part.start:
-                rays = source.draw(cell[part] - self._first[index], square[part], rng)
+                rays = source.shoot(square[part], rng, cell[part] - self._first[index])
                 origin[part], direction[part], weight[part] = rays.origin, rays.direction, rays.flux
                 light[part] = index
                 if rays.dark is not None:
                     dark[part] = rays.dark
         weight /= (n * self._probability[cell])[:, None].astype(np.float32)
         return Particles(origin, direction, weight, light, dark)
-
-
-def bounding_radius(world: World) -> float:
-    """Radius of a sphere around the world's centre that holds all its triangles, metres."""
-    rows = world.rows
-    if not len(rows):
-        return 1.0
-    corners = np.concatenate([rows[:, 0:3], rows[:, 0:3] + rows[:, 3:6], rows[:, 0:3] + rows[:, 6:9]])
-    return float(np.linalg.norm(corners.astype(np.float64), axis=1).max()) * (1 + 1e-5) + 4 * world.offset

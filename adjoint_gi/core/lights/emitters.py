@@ -1,6 +1,6 @@
-"""Everything that emits: triangles, lamps and the background, drawn from one table by power or met by rays.
+"""Everything that emits, for gathering: triangles, lamps and the background, drawn from one table by power or met by rays.
 
-The background is constant and is only met by rays that escape; drawing directions by the cosine is already its best density.
+What a kind of light does is in its own file; here they are picked, and their densities joined.
 Vectors inside are component first, (3, n) float32; `Emitters.sample`, `pdf` and `along` take and give rows, (n, 3).
 """
 
@@ -13,7 +13,9 @@ import numpy as np
 
 from ..sampling import maps as sampling
 from ..sampling.maps import PowerTable, columns, dot
-from .lamps import RECTANGLE, SUN_DISK, Lamps
+from .background import Background
+from .lamps import Lamps
+from .mesh import MeshLights
 
 if TYPE_CHECKING:
     from ..scene.world import World
@@ -21,9 +23,6 @@ if TYPE_CHECKING:
 # Rays meet lamps by testing every ray against every lamp. With more lamps than this, or with lamps too small to be met often,
 # bounces leave the lamps to light sampling alone, which is as unbiased. Camera and mirror rays are always tested against all.
 MOST_LAMPS = 16
-SMALLEST_LAMP = 0.05  # of the scene's size
-SMALLEST_SUN = 0.01  # 1 - cos of the half angle
-TEXTURED_POINTS = 64  # points at which a textured triangle's mean emission is measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,47 +48,30 @@ class LightSample:
 class Emitters:
     """The emitters of a world.
 
-    triangles (k,) int32 that emit; density (nt,) float32: of light sampling per area on each triangle;
-    background (3,) float32 radiance; lamps the tables of the lamps; power (W, the channels summed) of each part of `table`.
+    mesh, lamps, background: the lights, by kind; triangles (k,) int32 that emit; density (nt,) float32: of light sampling per area
+    on each triangle; power (W, the channels summed) of each part of `table`: triangles, then lamps.
+    sized, shared: numbers of the lamps that camera and mirror rays meet, and of those that bounced rays meet.
     """
 
     def __init__(self, world: World) -> None:
         self.world = world
-        self.lamps = Lamps(world.scene.lights, world.center, world.size)
-        self.background = np.maximum(np.asarray(world.scene.background, np.float32), 0)
-        self.any_background = bool(self.background.any())
-
-        mean = _mean_emission(world)
-        flux = 2 * np.pi * world.area * mean.sum(axis=1)  # both sides
-        self.triangles = np.flatnonzero(flux > 0).astype(np.int32)
-        self.any_mesh = len(self.triangles) > 0
-        rows = world.rows[self.triangles]
-        self._corner, self._e1, self._e2, self._ng = (columns(rows[:, a : a + 3]) for a in (0, 3, 6, 9))
-        self._radiance = None if world.shading.emission_varies else columns(mean[self.triangles])
+        self.mesh, self.lamps, self.background = MeshLights(world), Lamps(world), Background(world)
+        self.triangles, self.any_mesh, self.any_background = self.mesh.triangles, self.mesh.any, self.background.any
 
         # One table over triangles, then lamps; a second one for methods that treat the triangles as elements.
-        self.power = np.concatenate([flux[self.triangles], self.lamps.power])
+        self.power = np.concatenate([self.mesh.importance, self.lamps.importance])
         self.table = PowerTable(self.power)
-        self.lamp_table = PowerTable(self.lamps.power)
+        self.lamp_table = PowerTable(self.lamps.importance)
         self._pick = self.table.probability.astype(np.float32)
         self._lamp_pick = self.lamp_table.probability.astype(np.float32)
-        self.density = np.zeros(world.triangle_count, np.float32)
-        area = np.maximum(world.area[self.triangles], 1e-300)
-        self.density[self.triangles] = np.minimum(self.table.probability[: len(self.triangles)] / area, 1e30)
-        self._triangle_density = self.density[self.triangles]
+        self.mesh.set_pick(self.table.probability[: len(self.triangles)])
+        self.density = self.mesh.density
 
-        self.sized = np.flatnonzero(self.lamps.sized & (self.lamps.power > 0))
-        self.shared = self._shared()
+        self.sized = np.flatnonzero(self.lamps.sized & (self.lamps.importance > 0))
+        shared = self.sized[(self.lamps.large & self.lamps.shadow)[self.sized]]
+        self.shared = shared if len(shared) <= MOST_LAMPS else shared[:0]
         self._is_shared = np.zeros(self.lamps.count, bool)
         self._is_shared[self.shared] = True
-
-    def _shared(self) -> np.ndarray:
-        """Lamps that bounced rays are tested against."""
-        x = self.lamps
-        size = np.where(x.kind >= RECTANGLE, np.maximum(x.size_x, x.size_y), 2 * x.radius)
-        large = np.where(x.kind == SUN_DISK, x.sun_cone >= SMALLEST_SUN, size >= SMALLEST_LAMP * self.world.size)
-        out = self.sized[(large & x.shadow)[self.sized]]
-        return out if len(out) <= MOST_LAMPS else out[:0]
 
     def any_drawn(self, mesh: bool = True) -> bool:
         """Whether there is anything to draw light points from."""
@@ -133,43 +115,21 @@ class Emitters:
         return replace(s, pdf_w=s.pdf_w / self._pick[index])
 
     def _draw_triangles(self, k: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> LightSample:
-        """Points uniform on the triangles `k`, moved off them towards `p`, so that a shadow ray to them ends before it hits them."""
-        a, b = sampling.triangle(u, v)
-        to = self._e1.take(k, axis=1)
-        to *= a
-        other = self._e2.take(k, axis=1)
-        other *= b
-        to += other
-        to += self._corner.take(k, axis=1)
-        to -= p
-        ng = self._ng.take(k, axis=1)
-        side = dot(to, ng)
-        to -= np.copysign(np.float32(self.world.offset), side) * ng
-        distance = np.sqrt(dot(to, to))
-        to /= np.maximum(distance, np.float32(1e-20))
-        cosine = np.abs(dot(to, ng))
-        radiance = self._radiance.take(k, axis=1) if self._radiance is not None else self._textured(k, a, b)
-        pdf = self._triangle_density.take(k)
-        pdf *= distance
-        pdf *= distance
-        pdf /= np.maximum(cosine, np.float32(1e-6))
         yes, no = np.ones(len(k), bool), np.zeros(len(k), bool)
-        return LightSample(to, distance, radiance, np.maximum(pdf, np.float32(1e-20)), no, yes, yes)
-
-    def _textured(self, k: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return columns(self.world.shading.emission(self.triangles[k], a, b))
+        return LightSample(*self.mesh.sample(k, p, u, v), no, yes, yes)
 
     def _draw_lamps(self, k: np.ndarray, probability: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> LightSample:
         wi, distance, radiance, pdf = self.lamps.sample(k, p, u, v)
-        delta = ~self.lamps.sized[k]
         pdf = np.maximum(pdf * probability, np.float32(1e-20))
-        return LightSample(wi, distance, radiance, pdf, delta, self._is_shared[k], self.lamps.shadow[k])
+        return LightSample(wi, distance, radiance, pdf, ~self.lamps.sized[k], self._is_shared[k], self.lamps.shadow[k])
+
+    def escaping(self, w: np.ndarray) -> np.ndarray:
+        """(n, 3) float32 radiance of the background for rays along unit directions `w` (n, 3) that leave the scene."""
+        return self.background.radiance(w.T).T
 
     def pdf_met(self, triangle: np.ndarray, w: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """(n,) density per solid angle with which `draw` finds the emitting `triangle` a ray along `w` (3, n) has hit at `distance`."""
-        ng = columns(self.world.rows[triangle, 9:12])
-        cosine = np.maximum(np.abs(dot(w, ng)), np.float32(1e-6))
-        return self.density[triangle] * distance * distance / cosine
+        return self.mesh.pdf_w(triangle, w, distance)
 
     def lamps_met(
         self, o: np.ndarray, w: np.ndarray, distance: np.ndarray, pdf: np.ndarray | None = None, mesh: bool = True
@@ -184,10 +144,11 @@ class Emitters:
             return None
         out = np.zeros_like(w)
         pick = self._pick[len(self.triangles) :] if mesh else self._lamp_pick
-        for i, rows, radiance, pdf_lamp in self.lamps.seen(o, w, distance, lamps):
+        for i, seen in self.lamps.seen(o, w, distance, lamps):
+            radiance = seen.radiance
             if pdf is not None:
-                radiance = radiance * sampling.power_heuristic(pdf[rows], pick[i] * pdf_lamp)
-            out[:, rows] += radiance
+                radiance = radiance * sampling.power_heuristic(pdf[seen.rows], pick[i] * seen.pdf_w)
+            out[:, seen.rows] += radiance
         return out
 
     def sample(self, position: np.ndarray, normal: np.ndarray, rng: np.random.Generator) -> LightSample:
@@ -219,25 +180,3 @@ def _layout(n: int) -> tuple:
     """Shapes and types of the fields of a `LightSample` of n rows."""
     f, b = np.float32, bool
     return (((3, n), f), ((n,), f), ((3, n), f), ((n,), f), ((n,), b), ((n,), b), ((n,), b))
-
-
-def _mean_emission(world: World) -> np.ndarray:
-    """(nt, 3) float64: mean emitted radiance of every triangle; exact where it is constant."""
-    out = np.zeros((world.triangle_count, 3))
-    triangles = np.flatnonzero(world.shading.emissive() & (world.area > 0)).astype(np.int32)
-    if not len(triangles):
-        return out
-    points = 1
-    if world.shading.emission_varies:
-        points = TEXTURED_POINTS
-    # A fixed lattice on the triangle; a lattice of one point is the middle.
-    k = np.arange(points)
-    u, v = (k + 0.5) / points, (0.5 + k * 0.6180339887498949) % 1.0
-    for a, b in zip(*sampling.triangle(u.astype(np.float32), v.astype(np.float32)), strict=True):
-        n = len(triangles)
-        out[triangles] += world.shading.emission(triangles, np.full(n, a, np.float32), np.full(n, b, np.float32))
-    out /= points
-    if points > 1:
-        # A small bright spot may lie between the points: no textured triangle is left out of light sampling.
-        out[triangles] = np.maximum(out[triangles], 0.01 * out[triangles].mean(axis=0))
-    return out

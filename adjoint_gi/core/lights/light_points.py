@@ -31,7 +31,7 @@ class LightPoints:
             at = np.minimum(np.searchsorted(np.cumsum(share), (k + 0.5) / count), triangles - 1)
             for i, a, b in zip(at, u, v, strict=True):
                 self._draws.append((int(i), float(share[i] * count), float(a), float(b)))
-        for lamp in np.flatnonzero(emitters.lamps.power > 0):
+        for lamp in np.flatnonzero(emitters.lamps.importance > 0):
             many = count if emitters.lamps.sized[lamp] else 1
             for a, b in zip(u[:many], v[:many], strict=True):
                 self._draws.append((triangles + int(lamp), float(many), float(a), float(b)))

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..lights.background import Background
 from ..scene.world import World
 from .base import Receivers
 
@@ -69,6 +70,7 @@ def read_surfaces(world: World, receivers: Receivers, out: dict[str, np.ndarray]
     albedo, emission, normal = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
     sites, solid, depth = np.zeros(n), np.zeros(n), np.zeros(n)
     has_depth = receivers.kind == "camera"
+    background = Background(world)
 
     def count(into: np.ndarray, owner: np.ndarray, values: np.ndarray | None = None) -> None:
         # Only over the stretch of receivers of this chunk: the cost must not grow with chunks times receivers.
@@ -83,8 +85,8 @@ def read_surfaces(world: World, receivers: Receivers, out: dict[str, np.ndarray]
         count(sites, points.receiver)
         on = np.flatnonzero(points.triangle >= 0)
         if has_depth and len(on) < len(points.receiver):
-            owner = points.receiver[points.triangle < 0]
-            collect(emission, np.broadcast_to(np.asarray(world.scene.background, np.float64), (len(owner), 3)), owner)
+            away = points.triangle < 0
+            collect(emission, background.radiance(-points.towards[away].T).T, points.receiver[away])
         if len(on):
             owner = points.receiver[on]
             towards = None if points.towards is None else points.towards[on]

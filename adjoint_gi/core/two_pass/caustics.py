@@ -11,9 +11,8 @@ import numpy as np
 
 from ..base.parallel import in_order
 from ..elements.elements import Elements
-from ..lights.emission import STEPS, bounding_radius
+from ..lights.emission import STEPS
 from ..lights.emitters import Emitters
-from ..lights.lamp_emission import Background, lamp_source
 from ..radiosity.schemes import NO_LIMIT
 from ..walks.mirror_chains import Chains
 from .known_light import KnownLight
@@ -33,19 +32,13 @@ class Caustics:
 
     def __init__(self, elements: Elements, emitters: Emitters, chains: Chains, particles: int) -> None:
         self.elements, self.chains = elements, chains
-        world = elements.world
         sides = 2 * elements.count
         self.rays = 0
         self.any = False
         self._sources = []
         if chains.any and particles:
-            radius = bounding_radius(world)
-            sized = emitters.lamps.sized
-            self._sources = [(lamp_source(light, world.center, radius), not sized[i]) for i, light in enumerate(world.scene.lights)]
-            if any(c > 0 for c in world.scene.background):
-                self._sources.append((Background(world.scene.background, radius), False))
-            self._sources = [s for s in self._sources if s[0].power > 0]
-        power = np.array([s.power for s, _ in self._sources])
+            self._sources = emitters.lamps.sources() + emitters.background.sources()
+        power = np.array([s.power for s in self._sources])
         self._counts = [max(FEWEST, int(particles * p / power.sum())) for p in power]
         self.by_length = np.zeros((chains.depth + 2 if self._sources else 2, sides, 3))
         self.unmet = np.zeros_like(self.by_length)
@@ -92,10 +85,10 @@ class Caustics:
     def _batch(self, item: tuple[int, int, int]) -> tuple[list, int]:
         """Particles first to last of a source: for each length the sides (m,), power (m, 3) in W and whether it is `unmet`; rays."""
         index, first, last = item
-        source, pointlike = self._sources[index]
+        source = self._sources[index]
         rng = np.random.default_rng([19, index, first])
         square = np.arange(first + 1, last + 1)[:, None] * STEPS + 0.5
-        start = source.draw(np.zeros(last - first, np.int64), square - np.floor(square), rng)
+        start = source.shoot(square - np.floor(square), rng, np.zeros(last - first, np.int64))
         flux = start.flux / np.float32(self._counts[index])
         found, rays = [], 0
         origin, direction = (np.ascontiguousarray(x, np.float32) for x in (start.origin, start.direction))
@@ -105,5 +98,5 @@ class Caustics:
                 continue
             s = met.surface
             power = flux[met.row] * met.weight * met.share[:, None]
-            found.append((met.segments, self.elements.side(s.triangle, s.u, s.v, s.side), power, met.clear & pointlike))
+            found.append((met.segments, self.elements.side(s.triangle, s.u, s.v, s.side), power, met.clear & (not source.kind.sized)))
         return found, rays

@@ -110,7 +110,7 @@ class PathTracer:
     ) -> None:
         """Emission that camera rays see without any bounce: surfaces, the background, and lamps in front of them."""
         escaped = points.triangle < 0
-        emitted[:, escaped] = self.emitters.background[:, None]
+        emitted[:, escaped] = self.emitters.escaping(-points.towards[escaped]).T
         emitted[:, rows] = self.faces.emission_at(triangle, u, v)
         distance = np.where(escaped, np.float32(np.inf), points.distance).astype(np.float32)
         lamps = self.emitters.lamps_met(columns(points.origin), -columns(points.towards), distance)

@@ -174,7 +174,7 @@ class Run:
         if self.is_camera:
             emitted = np.zeros((len(owner), 3), np.float32)
             if self.settings.min_length == 0:
-                emitted[points.triangle < 0] = self.emitters.background
+                emitted[points.triangle < 0] = self.emitters.escaping(-points.towards[points.triangle < 0])
                 emitted[on] = self.world.emission(surface)
                 distance = np.where(points.triangle < 0, np.float32(np.inf), points.distance)
                 emitted += self.emitters.along(points.origin, -points.towards, distance)

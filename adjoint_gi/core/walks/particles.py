@@ -9,7 +9,7 @@ import numpy as np
 
 from ..bsdf import table as bsdf
 from ..lights.emission import Particles
-from ..lights.mesh_emission import cosine_directions
+from ..lights.outgoing import cosine_directions
 from ..scene.world import Surface, World
 from .radiance import leaving, take
 

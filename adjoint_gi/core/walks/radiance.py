@@ -199,7 +199,7 @@ def met(walk: Walk, origin: np.ndarray, wi: np.ndarray, hit: tuple, pdf: np.ndar
     sees = delta | walk.lobes
     escaped = triangle < 0
     if emitters.any_background:
-        out[escaped] = emitters.background
+        out[escaped] = emitters.escaping(wi[escaped])
     if emitters.any_mesh:
         at = np.flatnonzero(~escaped & sees & (emitters.density[triangle] > 0))
         if len(at):

@@ -1,0 +1,110 @@
+"""Spot lamps: point lamps whose intensity falls off towards the edge of a cone, round or elliptic.
+
+`falloff` is the one place of that; gathering asks for it towards a direction, shooting draws directions by it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..sampling.maps import dot
+from ..scene.arrays import Light
+from ..scene.world import World
+from .outgoing import cone_directions, reject
+from .point import PointLights
+
+SMALLEST_SCALE = 1e-6  # of an elliptic cone's axes
+SMALLEST_STEP = 1e-7  # of the cosine, over which a hard edge falls off in float32
+
+
+def falloff(cosine: np.ndarray, edge: np.ndarray | float, slope: np.ndarray | float) -> np.ndarray:
+    """(n,) share of the intensity at `cosine` (n,) to the axis: a smooth step that rises from `edge` over 1 / `slope` of the cosine."""
+    t = np.clip((cosine - edge) * slope, 0, 1)
+    return t * t * (3 - 2 * t)
+
+
+class SpotLights(PointLights):
+    """Spot lamps, of the three forms of point lamps."""
+
+    def __init__(self, lights: Sequence[Light], world: World) -> None:
+        super().__init__(lights, world)
+        cosine = np.cos([0.5 * x.spot_angle for x in lights])
+        blend = np.array([x.spot_blend for x in lights])
+        self._edge = cosine.astype(np.float32)
+        self._slope = (1 / np.maximum((1 - cosine) * blend, SMALLEST_STEP)).astype(np.float32)
+        self._scale = np.maximum(np.array([x.spot_scale for x in lights], np.float32).reshape(-1, 2).T, np.float32(SMALLEST_SCALE))
+
+    def shaped(self, i: np.ndarray | int, radiance: np.ndarray, out: np.ndarray) -> np.ndarray:
+        """`radiance` (3, n) as spots `i` send it towards unit directions `out` (3, n), which leave the lamp."""
+        x = dot(out, self.x[:, i].reshape(3, -1)) / self._scale[0, i]
+        y = dot(out, self.y[:, i].reshape(3, -1)) / self._scale[1, i]
+        z = -dot(out, self.z[:, i].reshape(3, -1))
+        c = z / np.maximum(np.sqrt(x * x + y * y + z * z), np.float32(1e-12))
+        return radiance * falloff(c, self._edge[i], self._slope[i])
+
+    def rough_solid(self, i: int) -> float:
+        """Solid angle of the round cone, weighted by its falloff, sr."""
+        # The falloff's mean over the share `blend` of the cone's range of cosines is a half.
+        light = self.lights[i]
+        return 2 * math.pi * (1 - math.cos(light.spot_angle / 2)) * (1 - light.spot_blend / 2)
+
+    def solid(self, i: int) -> float:
+        """Solid angle of the cone, weighted by its falloff, sr."""
+        light = self.lights[i]
+        if _is_round(light):
+            return self.rough_solid(i)
+        # An elliptical cone is a round one, stretched: a rule of Gauss in each half of the falloff, equal steps around.
+        edge = math.cos(light.spot_angle / 2)
+        blend = edge + (1 - edge) * light.spot_blend
+        x, w = np.polynomial.legendre.leggauss(64)
+        parts = [(edge, blend), (blend, 1.0)]
+        c = np.concatenate([a + (b - a) * (x + 1) / 2 for a, b in parts])
+        w = np.concatenate([(b - a) * w / 2 for a, b in parts])
+        phi = 2 * math.pi * (np.arange(256) + 0.5) / 256
+        r = np.sqrt(1 - c * c)
+        local = np.stack([np.outer(r, np.cos(phi)), np.outer(r, np.sin(phi)), np.repeat(c[:, None], 256, 1)], -1)
+        density = _falloff_of(light, local[..., 2]) * _stretch(light, local)
+        return float(2 * math.pi * (w @ density.mean(axis=1)))
+
+    def directions(self, i: int, square: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """(n, 3) float64 directions with density proportional to the intensity: uniform in the cone, thinned out by the falloff."""
+        light = self.lights[i]
+        edge = math.cos(light.spot_angle / 2)
+
+        def propose(s: np.ndarray, t: np.ndarray) -> np.ndarray:
+            return cone_directions(edge, s, t)
+
+        local = propose(square[:, 0], square[:, 1])
+        if _is_round(light):
+            reject(local, lambda d: _falloff_of(light, d[:, 2]), propose, rng)
+        else:
+            # The stretch is largest on the axis or at the rim, along the shorter axis of the ellipse.
+            rim = np.array([[0, 0, 1], [math.sqrt(1 - edge**2), 0, edge], [0, math.sqrt(1 - edge**2), edge]])
+            most = _stretch(light, rim).max()
+            reject(local, lambda d: _falloff_of(light, d[:, 2]) * _stretch(light, d) / most, propose, rng)
+            local = local * _scale_of(light)
+            local = local / np.linalg.norm(local, axis=1)[:, None]
+        return -local @ self._frame(i)
+
+
+def _falloff_of(light: Light, cosine: np.ndarray) -> np.ndarray:
+    """`falloff` of one lamp in float64, where a hard edge is as good as sharp."""
+    edge = math.cos(light.spot_angle / 2)
+    return falloff(cosine, edge, 1 / max((1 - edge) * light.spot_blend, 1e-12))
+
+
+def _is_round(light: Light) -> bool:
+    return tuple(light.spot_scale) == (1.0, 1.0)
+
+
+def _scale_of(light: Light) -> np.ndarray:
+    return np.array([*np.maximum(light.spot_scale, SMALLEST_SCALE), 1.0])
+
+
+def _stretch(light: Light, local: np.ndarray) -> np.ndarray:
+    """Solid angle after stretching a direction `local` (n, 3) of the round cone, over that before."""
+    scale = _scale_of(light)
+    return scale.prod() / ((local * scale) ** 2).sum(axis=-1) ** 1.5
