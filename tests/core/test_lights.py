@@ -249,3 +249,25 @@ def test_a_background_that_varies_is_one_class(monkeypatch):
         surface = world.surface(triangle, *np.full((2, 64), 0.3, np.float32), towards=np.tile([[0, 0, float(side)]], (64, 1)))
         found, _ = direct_irradiance(world, emitters, surface, 4, np.random.default_rng(0))
         np.testing.assert_allclose(found, np.tile(np.pi * np.array(expected), (64, 1)), rtol=1e-5)
+
+
+@pytest.mark.parametrize("mesh_lights", [True, False])
+@pytest.mark.parametrize("others", [[], ["point"], ["mesh", "sphere"]], ids="-".join)
+def test_a_background_that_light_points_find_lights_the_same(others, mesh_lights, monkeypatch):
+    """With an importance it joins the table, and rays that escape are weighted for it."""
+    b = SceneBuilder()
+    b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), diffuse("Black", 0.0))
+    for name in ["background", *others]:
+        LIGHTS[name][0](b)
+    world = World(b.build())
+    surface = world.surface(np.zeros(N, np.int32), *np.full((2, N), 0.3, np.float32))
+    found = []
+    for importance in (0.0, 20.0):
+        monkeypatch.setattr(Background, "importance", np.full(1, importance))
+        emitters = Emitters(world)
+        assert emitters.draws_background == (importance > 0)
+        value, _ = direct_irradiance(world, emitters, surface, 4, np.random.default_rng(5), mesh_lights)
+        found.append(statistics(value.T))
+    agree(*found, "background")
+    if not others:
+        agree(found[1], (np.pi * np.array(COLOR), np.zeros(3)), "closed form")

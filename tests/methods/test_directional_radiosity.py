@@ -10,6 +10,7 @@ from adjgi import solvers
 from adjgi.adjoint_gi.core.base.errors import MemoryRefused
 from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.lights.background import Background
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.radiosity.schemes import jacobi
@@ -120,7 +121,10 @@ def test_a_lamp_in_a_closed_box():
     assert not s.direct[1::2].any()
 
 
-def test_the_world_lights_a_plane():
+@pytest.mark.parametrize("drawn", [False, True])
+def test_the_world_lights_a_plane(drawn, monkeypatch):
+    """Once, also where light points are drawn from it."""
+    monkeypatch.setattr(Background, "importance", np.full(1, float(drawn)))
     b = SceneBuilder()
     b.background = (1.0, 2.0, 3.0)
     b.quad("Plane", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))

@@ -120,7 +120,7 @@ def test_distributed_rays_find_radiance_one():
     tracer.walk = dataclasses.replace(tracer.walk, lights=False, emission=emission)
     rows = Rows(np.zeros(len(wo), np.int64), np.arange(len(wo)), len(wo))
     # The split stages draw light points whatever the walk says; they must find nothing here.
-    object.__setattr__(tracer.walk.emitters, "any_drawn", lambda mesh=True: False)
+    object.__setattr__(tracer.walk.emitters, "any_drawn", lambda *parts: False)
     found = tracer.trace(surface, radiance.lobes_of(tracer.walk, surface, wo), rows, 1, rng)
     own = emission(surface.triangle, surface.u, surface.v, wo)
     check((own + found.direct + found.indirect).astype(float))

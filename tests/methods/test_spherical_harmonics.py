@@ -14,6 +14,7 @@ from adjgi.adjoint_gi.core.directional.harmonics import HemisphereHarmonics
 from adjgi.adjoint_gi.core.directional.rays import DirectionalRays
 from adjgi.adjoint_gi.core.directional.scattering import Scattering
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.lights.background import Background
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.radiosity.schemes import NO_LIMIT, Southwell
@@ -183,7 +184,10 @@ def test_glossy_error_falls_with_the_order():
     assert (s.direct + s.indirect)[floor].mean() == pytest.approx(want[floor].mean(), rel=0.04)
 
 
-def test_lamps_and_background():
+@pytest.mark.parametrize("drawn", [False, True])
+def test_lamps_and_background(drawn, monkeypatch):
+    """The background once, also where light points are drawn from it."""
+    monkeypatch.setattr(Background, "importance", np.full(1, float(drawn)))
     b = SceneBuilder()
     b.box("Box", (0, 0, 0), (4, 4, 4), diffuse("Wall", 0.5), inward=True)
     b.light(Light("Lamp", "point", (10.0, 20.0, 30.0), position=(2, 2, 2)))

@@ -84,7 +84,7 @@ class ArrivingLight:
 
     def run(self, sink: Sink) -> Iterator[float]:
         """Hand everything to `sink`; yields the share done. From fixed points and fixed random numbers."""
-        if not (self.emitters.any_drawn(False) or self.background):
+        if not (self.emitters.any_drawn(False, False) or self.background):
             return
         total = len(self.caster.frames)
         block = max(1, LIGHT_BATCH // self.points)
@@ -93,7 +93,7 @@ class ArrivingLight:
             side = np.repeat(np.arange(first, min(first + block, total)), self.points)
             (a, b), w = self.caster.cosine(np.tile(np.arange(self.points), len(side) // self.points), side)
             found, rays = [], 0
-            if self.emitters.any_drawn(False):
+            if self.emitters.any_drawn(False, False):
                 found.append(self._lamps(side, a, b, np.random.default_rng([5, first])))
                 rays += len(side)
             if self.background:
@@ -112,7 +112,7 @@ class ArrivingLight:
     def _lamps(self, side: np.ndarray, a: np.ndarray, b: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """One light point for each place: sides that are lit, directions and irradiance."""
         origin = self.caster.start(side, a, b)
-        s = self.emitters.draw(np.ascontiguousarray(origin.T), rng.random((3, len(side)), np.float32), False)
+        s = self.emitters.draw(np.ascontiguousarray(origin.T), rng.random((3, len(side)), np.float32), False, False)
         cosine = np.einsum("cn,nc->n", s.wi, self.caster.frames[side, 2])
         lit = np.flatnonzero((cosine > 0) & (s.radiance.max(axis=0) > 0))
         wi = np.ascontiguousarray(s.wi[:, lit].T)

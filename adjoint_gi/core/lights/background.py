@@ -1,6 +1,7 @@
 """The background: what rays see that leave the scene. The one place that knows that it is constant.
 
-A background that varies with direction changes `radiance`, `power` and `shoot` here, and nothing elsewhere.
+A background that varies with direction has another `radiance`, `flux` and `shoot` here. Where some directions are much brighter than
+others it also has an `importance`, and `sample` with its `pdf_w` by radiance: then light points are drawn from it everywhere.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ class Background(LightKind):
     """The radiance that arrives from far away.
 
     `any`: whether it is not black. Its `flux` is the power that enters the sphere around the scene, much of which passes by.
-    Light sampling never picks it (its importance is 0): rays drawn by the cosine are its best density, as it is constant.
+    Light points are not drawn from it (its importance is 0): rays drawn by the cosine are its best density, as it is constant.
     """
 
     names = ("Background",)

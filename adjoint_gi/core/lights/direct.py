@@ -88,7 +88,7 @@ def from_hits(
             yield rows, radiance
     if emitters.any_background:
         rows = np.flatnonzero(triangle < 0)
-        yield rows, emitters.background.radiance(w.take(rows, axis=1))
+        yield rows, emitters.escaping(w.take(rows, axis=1).T, pdf.take(rows), mesh).T
     if len(emitters.shared):
         yield np.arange(len(t)), emitters.lamps_met(origin, w, np.where(triangle < 0, INF, t), pdf, mesh)
 

@@ -6,6 +6,7 @@ Vectors inside are component first, (3, n) float32; `Emitters.sample`, `pdf` and
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -45,11 +46,41 @@ class LightSample:
     shadow: np.ndarray
 
 
+# Light points of emitters k (n,) of a part, whose probabilities are `pick` (k,), for origins (3, n), from two random numbers (n,).
+Draw = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray], LightSample]
+
+
+class _Table:
+    """Picks from parts of the emitters by power. Each part has its importance (k,) and a function that draws light points from it."""
+
+    def __init__(self, parts: list[tuple[np.ndarray, Draw]]) -> None:
+        parts = [p for p in parts if len(p[0])]
+        self.power = np.concatenate([importance for importance, _ in parts]) if parts else np.zeros(0)
+        table = PowerTable(self.power)
+        self.count, self._index, self.probability = table.count, table.pick, table.probability
+        self.pick = table.probability.astype(np.float32)
+        ends = np.cumsum([len(importance) for importance, _ in parts], dtype=np.int64)
+        self._parts = [(int(end) - len(part[0]), int(end), part[1]) for end, part in zip(ends, parts, strict=True)]
+
+    def draw(self, p: np.ndarray, u: np.ndarray) -> LightSample:
+        """Light points for ray origins `p` (3, n) from random numbers `u` (3, n)."""
+        index = self._index(u[0])
+        if len(self._parts) == 1:
+            return self._parts[0][2](index, self.pick, p, u[1], u[2])
+        out = LightSample(*(np.empty(shape, dtype) for shape, dtype in _layout(len(index))))
+        for first, end, draw in self._parts:
+            a = np.flatnonzero((index >= first) & (index < end))
+            part = draw(index[a] - first, self.pick[first:end], p[:, a], u[1][a], u[2][a])
+            for name in LightSample.__dataclass_fields__:
+                getattr(out, name)[..., a] = getattr(part, name)
+        return out
+
+
 class Emitters:
     """The emitters of a world.
 
     mesh, lamps, background: the lights, by kind; triangles (k,) int32 that emit; density (nt,) float32: of light sampling per area
-    on each triangle; power (W, the channels summed) of each part of `table`: triangles, then lamps.
+    on each triangle; power (W, the channels summed) of each triangle, then of each lamp, by which light sampling picks.
     sized, shared: numbers of the lamps that camera and mirror rays meet, and of those that bounced rays meet.
     """
 
@@ -57,14 +88,17 @@ class Emitters:
         self.world = world
         self.mesh, self.lamps, self.background = MeshLights(world), Lamps(world), Background(world)
         self.triangles, self.any_mesh, self.any_background = self.mesh.triangles, self.mesh.any, self.background.any
+        # Whether light points are drawn from the background, too; rays always meet it.
+        self.draws_background = self.any_background and bool(self.background.importance.any())
 
-        # One table over triangles, then lamps; a second one for methods that treat the triangles as elements.
-        self.power = np.concatenate([self.mesh.importance, self.lamps.importance])
-        self.table = PowerTable(self.power)
-        self.lamp_table = PowerTable(self.lamps.importance)
-        self._pick = self.table.probability.astype(np.float32)
-        self._lamp_pick = self.lamp_table.probability.astype(np.float32)
-        self.mesh.set_pick(self.table.probability[: len(self.triangles)])
+        # One table over all; one for methods that treat the triangles as elements, and one for those that also trace the background.
+        lamps = [(self.lamps.importance, self._draw_lamps)]
+        outside = [*lamps, (self.background.importance, self._draw_background)] if self.draws_background else lamps
+        self._all = _Table([(self.mesh.importance, self._draw_triangles), *outside])
+        self._outside = _Table(outside)
+        self._lamps = _Table(lamps) if self.draws_background else self._outside
+        self.power = self._all.power[: len(self.triangles) + self.lamps.count]
+        self.mesh.set_pick(self._all.probability[: len(self.triangles)])
         self.density = self.mesh.density
 
         self.sized = np.flatnonzero(self.lamps.sized & (self.lamps.importance > 0))
@@ -73,36 +107,25 @@ class Emitters:
         self._is_shared = np.zeros(self.lamps.count, bool)
         self._is_shared[self.shared] = True
 
-    def any_drawn(self, mesh: bool = True) -> bool:
+    def _table(self, mesh: bool, background: bool) -> _Table:
+        if mesh:
+            return self._all
+        return self._outside if background else self._lamps
+
+    def any_drawn(self, mesh: bool = True, background: bool = True) -> bool:
         """Whether there is anything to draw light points from."""
-        return (self.table if mesh else self.lamp_table).count > 0
+        return self._table(mesh, background).count > 0
 
     def any_met(self, mesh: bool = True) -> bool:
         """Whether a bounced ray can meet emission."""
         return self.any_background or (mesh and self.any_mesh) or len(self.shared) > 0
 
-    def draw(self, p: np.ndarray, u: np.ndarray, mesh: bool = True) -> LightSample:
+    def draw(self, p: np.ndarray, u: np.ndarray, mesh: bool = True, background: bool = True) -> LightSample:
         """Light points for ray origins `p` (3, n) from random numbers `u` (3, n): pick, and two for the point on the emitter.
 
-        The vectors of the result are component first.
+        Without `mesh` from lamps and the background, without both from lamps. The vectors of the result are component first.
         """
-        first = len(self.triangles) if mesh else 0
-        table, probability = (self.table, self._pick) if mesh else (self.lamp_table, self._lamp_pick)
-        index = table.pick(u[0])
-        n = len(index)
-        if first == len(self.power):
-            return self._draw_triangles(index, p, u[1], u[2])
-        if first == 0:
-            return self._draw_lamps(index, probability[index], p, u[1], u[2])
-        out = LightSample(*(np.empty(shape, dtype) for shape, dtype in _layout(n)))
-        for a, is_lamp in ((np.flatnonzero(index < first), False), (np.flatnonzero(index >= first), True)):
-            if is_lamp:
-                part = self._draw_lamps(index[a] - first, probability[index[a]], p[:, a], u[1][a], u[2][a])
-            else:
-                part = self._draw_triangles(index[a], p[:, a], u[1][a], u[2][a])
-            for name in LightSample.__dataclass_fields__:
-                getattr(out, name)[..., a] = getattr(part, name)
-        return out
+        return self._table(mesh, background).draw(p, u)
 
     def draw_from(self, index: int, p: np.ndarray, u: float, v: float) -> LightSample:
         """The same point (u, v) of one emitter, an index into `power`, for all ray origins `p` (3, n); pdf_w without the pick."""
@@ -110,22 +133,34 @@ class Emitters:
         a, b = np.full(n, u, np.float32), np.full(n, v, np.float32)
         first = len(self.triangles)
         if index >= first:
-            return self._draw_lamps(np.full(n, index - first), np.ones(n, np.float32), p, a, b)
-        s = self._draw_triangles(np.full(n, index), p, a, b)
-        return replace(s, pdf_w=s.pdf_w / self._pick[index])
+            return self._draw_lamps(np.full(n, index - first), np.ones(self.lamps.count, np.float32), p, a, b)
+        s = self._draw_triangles(np.full(n, index), self._all.pick, p, a, b)
+        return replace(s, pdf_w=s.pdf_w / self._all.pick[index])
 
-    def _draw_triangles(self, k: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> LightSample:
+    def _draw_triangles(self, k: np.ndarray, pick: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> LightSample:
+        # The densities of triangles contain the probability of their pick.
         yes, no = np.ones(len(k), bool), np.zeros(len(k), bool)
         return LightSample(*self.mesh.sample(k, p, u, v), no, yes, yes)
 
-    def _draw_lamps(self, k: np.ndarray, probability: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> LightSample:
+    def _draw_lamps(self, k: np.ndarray, pick: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> LightSample:
         wi, distance, radiance, pdf = self.lamps.sample(k, p, u, v)
-        pdf = np.maximum(pdf * probability, np.float32(1e-20))
+        pdf = np.maximum(pdf * pick[k], np.float32(1e-20))
         return LightSample(wi, distance, radiance, pdf, ~self.lamps.sized[k], self._is_shared[k], self.lamps.shadow[k])
 
-    def escaping(self, w: np.ndarray) -> np.ndarray:
-        """(n, 3) float32 radiance of the background for rays along unit directions `w` (n, 3) that leave the scene."""
-        return self.background.radiance(w.T).T
+    def _draw_background(self, k: np.ndarray, pick: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> LightSample:
+        wi, distance, radiance, pdf = self.background.sample(k, p, u, v)
+        yes, no = np.ones(len(k), bool), np.zeros(len(k), bool)
+        return LightSample(wi, distance, radiance, np.maximum(pdf * pick[k], np.float32(1e-20)), no, yes, yes)
+
+    def escaping(self, w: np.ndarray, pdf: np.ndarray | None = None, mesh: bool = True) -> np.ndarray:
+        """(n, 3) float32 radiance of the background for rays along unit directions `w` (n, 3) that leave the scene.
+
+        With `pdf` (n,), the density the rays were drawn with, weighted by the power heuristic where light points find it, too.
+        """
+        radiance = self.background.radiance(w.T)
+        if pdf is not None and self.draws_background:
+            radiance = radiance * sampling.power_heuristic(pdf, self._table(mesh, True).pick[-1] * self.background.pdf_w(w.T))
+        return radiance.T
 
     def pdf_met(self, triangle: np.ndarray, w: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """(n,) density per solid angle with which `draw` finds the emitting `triangle` a ray along `w` (3, n) has hit at `distance`."""
@@ -143,7 +178,7 @@ class Emitters:
         if not len(lamps):
             return None
         out = np.zeros_like(w)
-        pick = self._pick[len(self.triangles) :] if mesh else self._lamp_pick
+        pick = self._table(mesh, True).pick[len(self.triangles) if mesh else 0 :]
         for i, seen in self.lamps.seen(o, w, distance, lamps):
             radiance = seen.radiance
             if pdf is not None:

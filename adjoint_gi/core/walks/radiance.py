@@ -199,7 +199,7 @@ def met(walk: Walk, origin: np.ndarray, wi: np.ndarray, hit: tuple, pdf: np.ndar
     sees = delta | walk.lobes
     escaped = triangle < 0
     if emitters.any_background:
-        out[escaped] = emitters.escaping(wi[escaped])
+        out[escaped] = emitters.escaping(wi[escaped], _density(walk, pdf, delta, share)[escaped])
     if emitters.any_mesh:
         at = np.flatnonzero(~escaped & sees & (emitters.density[triangle] > 0))
         if len(at):
@@ -222,6 +222,13 @@ def met(walk: Walk, origin: np.ndarray, wi: np.ndarray, hit: tuple, pdf: np.ndar
             o, w = np.ascontiguousarray(origin[rest].T), np.ascontiguousarray(wi[rest].T)
             out[rest] += emitters.lamps_met(o, w, distance[rest], np.maximum(pdf[rest] / share[rest], np.float32(1e-12))).T
     return out
+
+
+def _density(walk: Walk, pdf: np.ndarray, delta: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """(n,) densities that decide how rays and light points share what both find: without limit where only rays do, 0 where only points."""
+    if not walk.lights:
+        return np.full(len(pdf), INF)
+    return np.where(delta, INF, np.maximum(pdf / share * np.float32(walk.lobes), np.float32(1e-12)))
 
 
 def take(surface: Surface, which: np.ndarray) -> Surface:
