@@ -211,6 +211,13 @@ def test_gathering_and_shooting_put_the_same_light_on_a_plane(name):
     agree(gathered, statistics(np.stack(shot, axis=-1)), name)
 
 
+def even_directions(n, rng):
+    """(3, n) unit directions: a golden-ratio lattice on the sphere, shifted at random."""
+    k = np.arange(n)
+    u, v = (k + rng.random()) / n, (k * 0.6180339887498949 + rng.random()) % 1
+    return maps.sphere(u.astype(np.float32), v.astype(np.float32))
+
+
 def by_cell(x, y, value):
     """(3 cells, n) values (3, n), each in the row of the square that (x, y) lies in, 0 in the others."""
     cell = ((x + 1) / 2 * CELLS).astype(int) * CELLS + ((y + 1) / 2 * CELLS).astype(int)
@@ -224,12 +231,16 @@ def test_gathering_and_shooting_agree_about_power(name):
     """The irradiance on a sphere: a large one around a light, or the one around the scene that light from far away enters."""
     world, kind = scene(name)
     rng = np.random.default_rng(4)
-    outward = maps.sphere(*rng.random((2, N), np.float32))
-    far = (drawn(kind, outward[:, :1], rng).distance >= FAR).all()
-    radius, normal = (bounding_radius(world), outward) if far else (30.0, -outward)
+    far = (drawn(kind, np.zeros((3, 1), np.float32), rng).distance >= FAR).all()
+    radius, sign = (bounding_radius(world), 1) if far else (30.0, -1)
     middle = np.zeros(3) if far else np.array([0.1, 0.2, 1.0]) - world.center
-    s = drawn(kind, (middle[:, None] + radius * outward).astype(np.float32), rng)
-    gathered = s.radiance * (np.maximum(maps.dot(s.wi, normal), 0) / s.pdf_w) * (4 * np.pi * radius**2)
+    gathered = []
+    for _ in range(32):
+        outward = even_directions(N // 32, rng)
+        s = drawn(kind, (middle[:, None] + radius * outward).astype(np.float32), rng)
+        cosine = np.maximum(sign * maps.dot(s.wi, outward), 0)
+        gathered.append((s.radiance * (cosine / s.pdf_w)).mean(axis=1, dtype=float) * (4 * np.pi * radius**2))
+    gathered = np.stack(gathered, axis=-1)
     emission = Emission(world)
     shot = np.stack([emission.draw(4096, rng).weight.sum(axis=0, dtype=float) for _ in range(16)], axis=-1)
     agree(statistics(gathered), statistics(shot), name)
