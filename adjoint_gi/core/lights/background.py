@@ -14,7 +14,7 @@ import numpy as np
 from ..sampling import maps as sampling
 from ..sampling.maps import PI
 from ..scene.world import World
-from .base import FAR, LightKind, Rays, Sample, bounding_radius
+from .base import FAR, LightKind, Rays, Sample
 from .outgoing import from_outside, sphere_directions
 
 UNIFORM = 1 / (4 * PI)
@@ -50,17 +50,12 @@ class Background(LightKind):
         return Sample(wi, np.full(len(u), FAR), self.radiance(wi), self.pdf_w(wi))
 
     @cached_property
-    def radius(self) -> float:
-        """Of the sphere around the scene, m."""
-        return bounding_radius(self.world)
-
-    @cached_property
     def flux(self) -> np.ndarray:
         """(1, 3) float64 W."""
         color = np.maximum(np.asarray(self.world.scene.background, np.float64), 0)
-        return (color * (4 * math.pi**2 * self.radius**2))[None]
+        return (color * (4 * math.pi**2 * self.scene_radius**2))[None]
 
     def shoot(self, i: int, square: np.ndarray, rng: np.random.Generator, cell: np.ndarray) -> Rays:
         """A uniform direction; the origin on a disk that covers the scene, outside of it."""
         direction = sphere_directions(square[:, 0], square[:, 1])
-        return Rays(from_outside(direction, self.radius, square[:, 2:]), direction, np.broadcast_to(self.flux[0], direction.shape))
+        return Rays(from_outside(direction, self.scene_radius, square[:, 2:]), direction, np.broadcast_to(self.flux[0], direction.shape))

@@ -72,11 +72,17 @@ class LightKind:
     through, by `seen`; meshes, which rays hit, by `radiance` and `pdf_w` of the hit; the background by those of the direction.
     """
 
+    world: World
     names: tuple[str, ...] = ()
     flux: np.ndarray
     importance: np.ndarray
     shadow: np.ndarray
     sized = True
+
+    @cached_property
+    def scene_radius(self) -> float:
+        """Radius of the sphere around the scene that light from far away enters, m."""
+        return bounding_radius(self.world)
 
     def sample(self, i: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> Sample:
         """For gathering: a point on each light `i` (n,) as seen from `p` (3, n), from random numbers `u` and `v` (n,)."""

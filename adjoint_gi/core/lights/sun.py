@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from ..sampling import maps as sampling
 from ..sampling.maps import TWO_PI, dot
 from ..scene.arrays import Light
 from ..scene.world import World
-from .base import FAR, INF, LampKind, Rays, Sample, Seen, bounding_radius
+from .base import FAR, INF, LampKind, Rays, Sample, Seen
 from .outgoing import cone_directions, from_outside
 
 SMALLEST_SUN = 0.01  # 1 - cos of the half angle: rays drawn by the cosine hardly ever meet smaller ones
@@ -33,11 +32,6 @@ class SunLights(LampKind):
         """A disk in the sky, or parallel light."""
         return "disk" if light.angle > 0 else "parallel"
 
-    @cached_property
-    def radius(self) -> float:
-        """Of the sphere around the scene, m."""
-        return bounding_radius(self.world)
-
     def rough_solid(self, i: int) -> float:
         """What falls on the scene rather than passes by: a disk of the scene's size, m2."""
         return math.pi * self.world.size**2
@@ -45,7 +39,7 @@ class SunLights(LampKind):
     def solid(self, i: int) -> float:
         """Cross-section of the sphere around the scene, times what the tilt of the disk's rim adds, m2."""
         # Radiance is E / (pi sin^2 h) over the disk's solid angle 2 pi (1 - cos h), with h half its angle.
-        return math.pi * self.radius**2 * 2 / (1 + math.cos(self.lights[i].angle / 2))
+        return math.pi * self.scene_radius**2 * 2 / (1 + math.cos(self.lights[i].angle / 2))
 
     def emitted(self) -> np.ndarray:
         """(k, 3) float64: radiance of a disk, irradiance of parallel light."""
@@ -88,4 +82,4 @@ class SunLights(LampKind):
         """A uniform direction of the disk; the origin on a disk that covers the scene, outside of it."""
         local = cone_directions(math.cos(self.lights[i].angle / 2), square[:, 0], square[:, 1])
         direction = -local @ self._frame(i)
-        return self._rays(i, from_outside(direction, self.radius, square[:, 2:]), direction)
+        return self._rays(i, from_outside(direction, self.scene_radius, square[:, 2:]), direction)
