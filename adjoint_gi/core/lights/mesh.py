@@ -11,6 +11,7 @@ import numpy as np
 
 from ..sampling import maps as sampling
 from ..sampling.maps import columns, dot
+from ..scene.faces import points
 from ..scene.world import World
 from .base import LightKind, Rays, Sample
 from .outgoing import cosine_directions
@@ -60,12 +61,7 @@ class MeshLights(LightKind):
     def sample(self, i: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> Sample:
         """Uniform points on the triangles, moved off them towards `p`, so that a shadow ray to them ends before it hits them."""
         a, b = sampling.triangle(u, v)
-        to = self._e1.take(i, axis=1)
-        to *= a
-        other = self._e2.take(i, axis=1)
-        other *= b
-        to += other
-        to += self._corner.take(i, axis=1)
+        to = points(self._corner, self._e1, self._e2, i, a, b)
         to -= p
         ng = self._ng.take(i, axis=1)
         side = dot(to, ng)

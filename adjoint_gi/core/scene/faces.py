@@ -53,13 +53,7 @@ class Faces:
 
     def positions(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(3, n) float32 points at barycentrics (u, v)."""
-        p = self._e1.take(triangle, axis=1)
-        p *= u
-        q = self._e2.take(triangle, axis=1)
-        q *= v
-        p += q
-        p += self._corner.take(triangle, axis=1)
-        return p
+        return points(self._corner, self._e1, self._e2, triangle, u, v)
 
     def albedo_at(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(3, n) float32 diffuse reflectance."""
@@ -72,3 +66,14 @@ class Faces:
         if self.emission is not None:
             return self.emission.take(triangle, axis=1)
         return columns(self.world.shading.emission(triangle, u, v))
+
+
+def points(corner: np.ndarray, e1: np.ndarray, e2: np.ndarray, k: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(3, n) float32 points at barycentrics (u, v) of triangles `k` (n,), whose first corners and edges are columns, (3, nt) each."""
+    p = e1.take(k, axis=1)
+    p *= u
+    q = e2.take(k, axis=1)
+    q *= v
+    p += q
+    p += corner.take(k, axis=1)
+    return p
