@@ -85,7 +85,7 @@ def test_diffuse_walls_equal_progressive_radiosity_on_the_same_rays(order, low, 
     theirs = Southwell(transport, np.repeat(elements.emitted, 2, axis=0), np.zeros((2 * elements.count, 3)), low, high)
     settings = solvers.progressive_radiosity.ProgressiveSettings(rays=20_000)
     for _ in range(12):
-        index, rays = solvers.progressive_radiosity.group(theirs, settings)
+        index, rays = solvers.progressive_radiosity.group(theirs, settings.rays, settings.max_shots)
         if not len(index):
             break
         theirs.shoot(index, rays)
