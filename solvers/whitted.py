@@ -24,11 +24,13 @@ from ..adjoint_gi.core.base.parallel import thread_count
 from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf import mirrors
 from ..adjoint_gi.core.bsdf import table as bsdf
+from ..adjoint_gi.core.bsdf.lobes import DIFFUSE, KINDS, LOBES, REFRACTING
 from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.lights.light_points import LightPoints, phong_lobe
 from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Receivers
+from ..adjoint_gi.core.scene.arrays import Lobe
 from ..adjoint_gi.core.scene.world import Surface, World
 from ..adjoint_gi.core.walks.gathering import Run
 from ..adjoint_gi.core.walks.radiance import Gathered, take
@@ -132,8 +134,7 @@ def rough_notices(world: World, rough: str) -> tuple[Notice, ...]:
     out = []
     used = dict.fromkeys(world.scene.materials[index] for index in np.unique(world.scene.material))
     for material in used:
-        kinds = {x.kind for x in material.lobes if x.kind in bsdf.KINDS and not x.color.is_black and x.roughness**2 >= bsdf.DELTA_ALPHA}
-        kinds = sorted(kinds - {"transparent"})
+        kinds = sorted({x.kind for x in material.lobes if not x.color.is_black and _is_rough(x)})
         if not kinds:
             continue
         name, what = f"Material {material.name}", ", ".join(kinds)
@@ -144,6 +145,12 @@ def rough_notices(world: World, rough: str) -> tuple[Notice, ...]:
         how = "as perfectly smooth" if rough == "mirrors" else "to reflect lights only, and light to pass straight"
         out.append(Notice(name, f"rough {what} taken {how} by this method", "Choose a method that handles it, or accept the substitute"))
     return tuple(out)
+
+
+def _is_rough(lobe: Lobe) -> bool:
+    """Whether a lobe would be followed by rays if it were smooth."""
+    kind = LOBES[KINDS.get(lobe.kind, DIFFUSE)]
+    return (kind.reflects or kind.passes) and lobe.roughness**2 >= kind.delta_below
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +178,8 @@ class Tracer:
     @property
     def splits(self) -> bool:
         """Whether any surface both reflects and passes rays."""
-        return any(x.kind == "glass" and not x.color.is_black for m in self.world.scene.materials for x in m.lobes)
+        kinds = (LOBES[KINDS.get(x.kind, DIFFUSE)] for m in self.world.scene.materials for x in m.lobes if not x.color.is_black)
+        return any(kind.reflects and kind.passes for kind in kinds)
 
     def estimate(self, surface: Surface, wo: np.ndarray | None, _: np.random.Generator) -> Gathered:
         """Radiance towards `wo` (n, 3), or irradiance where it is None."""
@@ -232,16 +240,14 @@ class Tracer:
         s = self.settings
         lobes = self.table.at(surface.triangle, surface.u, surface.v, surface.ns, surface.side, -front.wi)
         mirror = self._mirrors(lobes)
-        rest = mirrors.without(lobes, mirror)
+        rest = lobes.without(mirror)
         lit, ambient = np.zeros_like(front.weight), np.zeros_like(front.weight)
         rays = 0
         if s.min_length <= length <= s.max_length:
             # Purely diffuse points, most of all, are done together and at less cost.
-            shiny = np.zeros(len(lit), bool)
-            for slot in rest.slots:
-                shiny |= slot.kind > 0
+            shiny = rest.others()
             if self.table.coat.any():
-                shiny |= self.table.coat_at(rest.material, rest.local[:, 2]) > 0
+                shiny |= rest.coat() > 0
             for which, sum_up in ((~shiny & (rest.diffuse.max(axis=1) > 0), self._diffuse), (shiny, self._shiny)):
                 able = np.flatnonzero(which)
                 if len(able):
@@ -263,8 +269,7 @@ class Tracer:
         """For each slot where it is followed by rays, (n,) bool."""
         if self.settings.rough == "mirrors":
             return tuple(x.kind > 0 for x in lobes.slots)
-        clear = (bsdf.GLASS, bsdf.REFRACTION)
-        return tuple((x.kind > 0) & (x.delta | np.isin(x.kind, clear)) for x in lobes.slots)
+        return tuple((x.kind > 0) & (x.delta | REFRACTING[x.kind]) for x in lobes.slots)
 
     def _diffuse(self, surface: Surface, lobes: bsdf.Lobes) -> tuple[np.ndarray, int]:
         """The sum over the light elements at diffuse points, (n, 3), and the shadow rays cast."""
@@ -276,7 +281,7 @@ class Tracer:
         out = np.zeros((len(surface.triangle), 3), np.float32)
         rays = 0
         phong = self.settings.rough == "phong"
-        base_lobes = mirrors.without(lobes, tuple(np.ones(len(out), bool) for _ in lobes.slots)) if phong else lobes
+        base_lobes = lobes.without(tuple(np.ones(len(out), bool) for _ in lobes.slots)) if phong else lobes
         p = bsdf.weights(base_lobes)
         for wi, cosine, radiance, weight, cast in self.points.at(self.world, surface, True):
             rays += cast
@@ -313,12 +318,12 @@ def irradiance(world: World, points: LightPoints, surface: Surface) -> tuple[np.
 
 def _ambient_reflectance(lobes: bsdf.Lobes) -> np.ndarray:
     """(n, 3) average reflectance rho_a of the lobes that are not followed by rays."""
-    coat = lobes.table.coat_at(lobes.material, lobes.local[:, 2])
-    out = lobes.diffuse * (1 - coat)[:, None]
-    for slot in lobes.slots:
-        share = np.where(slot.kind == bsdf.SPECULAR, coat, np.float32(1)) * (slot.kind > 0)
-        share = np.where(slot.kind == bsdf.DIELECTRIC, bsdf.boundary_share(lobes, slot), share)
-        out = out + slot.color * share[:, None]
+    out = lobes.diffuse * (1 - lobes.coat())[:, None]
+    share = [(slot.kind > 0).astype(np.float32) for slot in lobes.slots]
+    for i, rows, albedo in lobes.albedos():
+        share[i][rows] = albedo
+    for slot, part in zip(lobes.slots, share, strict=True):
+        out = out + slot.color * part[:, None]
     return out
 
 

@@ -48,9 +48,9 @@ BUGS = (
     ),
     Bug(
         "lost 1 / pi",
-        "adjoint_gi/core/bsdf/table.py",
-        "_diffuse_scale(lobes, up) / mf.PI)",
-        "_diffuse_scale(lobes, up))",
+        "adjoint_gi/core/bsdf/diffuse.py",
+        "    return color * (cosine / mf.PI)[:, None]",
+        "    return color * cosine[:, None]",
         "tests/core/test_bsdf.py -k albedo",
     ),
     Bug(
@@ -104,9 +104,9 @@ BUGS = (
     ),
     Bug(
         "index of refraction not turned over inside",
-        "adjoint_gi/core/bsdf/table.py",
-        "    return np.where(inside, 1 / slot.ior, slot.ior).astype(np.float32)",
-        "    return np.where(inside, slot.ior, slot.ior).astype(np.float32)",
+        "adjoint_gi/core/bsdf/lobe.py",
+        "        return np.where(self.entering, self.ior, 1 / self.ior).astype(np.float32)",
+        "        return self.ior",
         "tests/core/test_bsdf.py -k total",
     ),
     Bug(

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.core.bsdf import lobes as kinds
 from adjgi.adjoint_gi.core.bsdf import microfacet
 from adjgi.adjoint_gi.core.bsdf import table as bsdf
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material
@@ -75,6 +76,35 @@ def test_samples_follow_their_density(name, mu, side):
         mu = 0.9  # beyond the critical angle nothing is transmitted
     z = chi_square(mu, ROUGH[name], side, np.random.default_rng(7))
     assert z < 4.4, f"{name}: chi-square is {z:.1f} standard deviations off"
+
+
+@pytest.mark.parametrize("number", range(len(kinds.LOBES)), ids=[kind.name for kind in kinds.LOBES])
+def test_every_kind_has_a_case_here_and_draws_nothing_without_a_density(number):
+    """What the table says of a kind is what its samples do: it reflects or passes, and is smooth below the alpha that it names."""
+    kind = kinds.LOBES[number]
+    dense = kind.delta_below < np.inf
+    assert dense == any(lobe.kind == kind.name for lobes in ROUGH.values() for lobe in lobes)
+    n = 20_000
+    for roughness in (0.0, 0.5):
+        drawn = bsdf.sample(lobes_at([Lobe(kind.name, C(0.8), roughness, 1.5)], view(0.6, n)), np.random.default_rng(9))
+        lit = drawn.weight.max(axis=1) > 0
+        assert drawn.delta[lit].all() == (roughness**2 < kind.delta_below)
+        assert drawn.through[lit].any() == kind.passes
+        assert (~drawn.through[lit]).any() == (kind.reflects or not kind.passes)
+        assert (drawn.pdf_w[lit] > 0).all() != drawn.delta[lit].all()
+
+
+@pytest.mark.parametrize(("name", "mu", "side"), CASES)
+def test_density_integrates_to_the_share_that_is_drawn(name, mu, side):
+    """To 1, less what facets send into the surface; by a grid over the sphere."""
+    z, phi = np.meshgrid((np.arange(600) + 0.5) / 300 - 1, (np.arange(200) + 0.5) * np.pi / 100, indexing="ij")
+    r = np.sqrt(1 - z**2)
+    wi = np.stack([r * np.cos(phi), r * np.sin(phi), z], -1).reshape(-1, 3).astype(np.float32)
+    lobes = lobes_at(ROUGH[name], view(mu, len(wi)), side)
+    density = bsdf.evaluate(lobes, wi)[1].mean(dtype=float) * 4 * np.pi
+    drawn = (bsdf.sample(lobes, np.random.default_rng(8)).pdf_w > 0).mean()
+    assert density == pytest.approx(drawn, abs=4 * np.sqrt(drawn * (1 - drawn) / len(wi)) + 0.002)
+    assert density < 1.002
 
 
 @pytest.mark.parametrize(("name", "mu", "side"), CASES)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.core.bsdf import lobes as kinds
 from adjgi.adjoint_gi.core.bsdf import table as bsdf
 from adjgi.adjoint_gi.core.directional.bins import Bins, frames
 from adjgi.adjoint_gi.core.directional.pairs import pairs
@@ -103,12 +104,12 @@ def test_frames_of_both_sides_share_their_tangents():
 @pytest.mark.parametrize(("rows", "columns"), SIZES)
 @pytest.mark.parametrize(
     ("kind", "alpha"),
-    [(bsdf.GLOSSY, 0.0), (bsdf.GLOSSY, 0.2), (bsdf.SPECULAR, 0.1), (bsdf.GLASS, 0.2), (bsdf.DIELECTRIC, 0.0), (bsdf.REFRACTION, 0.0)],
+    [(kinds.GLOSSY, 0.0), (kinds.GLOSSY, 0.2), (kinds.SPECULAR, 0.1), (kinds.GLASS, 0.2), (kinds.DIELECTRIC, 0.0), (kinds.REFRACTION, 0.0)],
 )
 def test_scattering_is_reciprocal_and_keeps_energy(rows, columns, kind, alpha):
     bins = Bins(rows, columns)
     front, back = (pairs(kind, alpha, 1.5, side, table(), 1 << 13) for side in (True, False))
-    measure = np.array([1.0, 2.25 if kind in (bsdf.GLASS, bsdf.REFRACTION) else 1.0])
+    measure = np.array([1.0, 2.25 if kind in (kinds.GLASS, kinds.REFRACTION) else 1.0])
     same, other = bins.kernels((front, back), measure)
     assert same.min() >= 0
     for side in (0, 1):
@@ -133,7 +134,7 @@ def test_scattering_is_reciprocal_and_keeps_energy(rows, columns, kind, alpha):
 
 def test_a_mirror_maps_bins_to_the_mirrored_bin():
     bins = Bins(3, 8)
-    p = pairs(bsdf.GLOSSY, 0.0, 1.5, True, table(), 1 << 13)
+    p = pairs(kinds.GLOSSY, 0.0, 1.5, True, table(), 1 << 13)
     same, _ = bins.kernels((p, p), np.ones(2))
     bin = np.arange(bins.size)
     mirrored = bin // 8 * 8 + (bin % 8 + 4) % 8
@@ -143,7 +144,7 @@ def test_a_mirror_maps_bins_to_the_mirrored_bin():
 
 def test_light_that_passes_a_transparent_sheet_goes_straight():
     bins = Bins(2, 6)
-    p = pairs(bsdf.TRANSPARENT, 1.0, 1.0, True, table(), 1 << 12)
+    p = pairs(kinds.TRANSPARENT, 1.0, 1.0, True, table(), 1 << 12)
     same, other = bins.kernels((p, p), np.ones(2))
     bin = np.arange(bins.size)
     opposite = bin // 6 * 6 + (bin % 6 + 3) % 6

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from . import microfacet as mf
 from . import table as bsdf
-
-REFLECTING = (bsdf.GLOSSY, bsdf.METALLIC, bsdf.SPECULAR, bsdf.GLASS, bsdf.DIELECTRIC)
-CLEAR = (bsdf.GLASS, bsdf.REFRACTION, bsdf.TRANSPARENT)
+from .lobes import LOBES, PASSING, REFLECTING, REFRACTING, present
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,30 +28,29 @@ def branches(lobes: bsdf.Lobes, mirror: tuple[np.ndarray, ...]) -> Iterator[Bran
     """For every slot of `lobes` its reflected and its transmitted ray, at the points where `mirror` (one (n,) bool for each slot) says
     that the lobe is taken as perfectly smooth. Glass splits by Fresnel's equations; where it reflects totally nothing goes through.
     """
-    for slot, which in zip(lobes.slots, mirror, strict=True):
-        rows = np.flatnonzero(which & np.isin(slot.kind, REFLECTING))
-        if len(rows):
-            o, part, eta = lobes.local[rows], slot.take(rows), bsdf.relative_ior(lobes, slot)[rows]
-            w = o * np.array([-1, -1, 1], np.float32)
-            yield Branch(rows, lobes.take(rows).to_world(w), bsdf.reflectance(part.kind, part, o[:, 2], eta), False)
-        rows = np.flatnonzero(which & np.isin(slot.kind, CLEAR))
-        if len(rows):
-            o, part, eta = lobes.local[rows], slot.take(rows), bsdf.relative_ior(lobes, slot)[rows]
-            h = np.zeros_like(o)
-            h[:, 2] = 1
-            w, total = mf.refract(o, h, eta)
-            straight = part.kind == bsdf.TRANSPARENT
-            w[straight] = -o[straight]
-            passed = np.where(part.kind == bsdf.GLASS, 1 - mf.fresnel(o[:, 2], eta), np.float32(1))
-            passed = np.where(total & ~straight, 0, passed)
-            wi = lobes.take(rows).to_world(w)
-            # A transparent surface must not turn rays where its shading normal leans away.
-            wi[straight] = -lobes.wo[rows[straight]]
-            yield Branch(rows, wi, part.color * passed[:, None], True)
+    for i, which in enumerate(mirror):
+        for through, able in ((False, REFLECTING), (True, PASSING)):
+            rows = np.flatnonzero(which & able[lobes.slots[i].kind])
+            if len(rows):
+                yield _branch(lobes, i, rows, through)
 
 
-def without(lobes: bsdf.Lobes, gone: tuple[np.ndarray, ...]) -> bsdf.Lobes:
-    """The same lobes, the slots taken out where `gone` (one (n,) bool for each slot) says so; a coat still dims what lies below it."""
-    slots = tuple(replace(s, kind=np.where(g, np.int8(0), s.kind)) for s, g in zip(lobes.slots, gone, strict=True))
-    parts = (lobes.wo, lobes.local, lobes.x, lobes.y, lobes.z, lobes.diffuse)
-    return bsdf.Lobes(*parts, slots, lobes.entering, lobes.material, lobes.table)
+def _branch(lobes: bsdf.Lobes, i: int, rows: np.ndarray, through: bool) -> Branch:
+    """The rays of slot `i` that are reflected, or that go through."""
+    number = lobes.slots[i].kind[rows]
+    wi = lobes.local[rows] * np.array([-1, -1, 1], np.float32)
+    weight = np.zeros((len(rows), 3), np.float32)
+    for k in present(number):
+        at = np.flatnonzero(number == k)
+        seen = lobes.seen(i, rows[at])
+        if through:
+            wi[at], passed = LOBES[k].passed(seen)
+            weight[at] = seen.color * passed[:, None]
+        else:
+            weight[at] = LOBES[k].reflected(seen, seen.wo[:, 2])
+    world = lobes.take(rows).to_world(wi)
+    if through:
+        # A transparent surface must not turn rays where its shading normal leans away.
+        straight = ~REFRACTING[number]
+        world[straight] = -lobes.wo[rows[straight]]
+    return Branch(rows, world, weight, through)

@@ -1,4 +1,4 @@
-"""Scattering at surfaces: any sum of diffuse, glossy, metallic, coated, glass, refracting and transparent lobes.
+"""Scattering at surfaces: any sum of the lobe kinds of `lobes.py`.
 
 Three functions, as in Nori and pbrt: `evaluate` (f times cosine, and pdf_w), `sample`, and `Lobes` that prepares both.
 Radiance is carried as basic radiance (divided by the index squared), so one set of formulas serves gathering and shooting:
@@ -9,28 +9,21 @@ Limits: roughness and index are constant over a material; a coat loses what boun
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..scene.arrays import Color, Lobe, SceneArrays
 from ..scene.shading import ColorField
 from . import microfacet as mf
+from .diffuse import cosine_directions, lambert
+from .lobe import DELTA_ALPHA, LobeKind, Seen
+from .lobes import ALL_LOBES, DELTA_BELOW, KINDS, LOBES, PARTIAL, REFRACTING, present
 from .multiscatter import Gains
 
-GLOSSY, METALLIC, SPECULAR, GLASS, REFRACTION, TRANSPARENT, DIELECTRIC = range(1, 8)
-KINDS = {
-    "glossy": GLOSSY,
-    "metallic": METALLIC,
-    "specular": SPECULAR,
-    "glass": GLASS,
-    "refraction": REFRACTION,
-    "transparent": TRANSPARENT,
-    "dielectric": DIELECTRIC,
-}
-ALL_LOBES = frozenset(("diffuse", *KINDS))
-# Lobes narrower than this are perfect mirrors: float32 cannot hold their peak.
-DELTA_ALPHA = np.float32(1e-3)
+__all__ = ["ALL_LOBES", "KINDS", "LOBES", "BsdfTable", "Lobes", "Scattered", "Slot", "evaluate", "frame", "sample", "weights"]
+
 MU = 32  # entries of the coat's albedo over the cosine
 
 
@@ -52,7 +45,7 @@ class Slot:
     @property
     def delta(self) -> np.ndarray:
         """(n,) bool: mirror-like, without a density."""
-        return (self.alpha < DELTA_ALPHA) | (self.kind == TRANSPARENT)
+        return self.alpha < DELTA_BELOW[self.kind]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,12 +81,61 @@ class Lobes:
         """Frame directions in the world."""
         return w[:, :1] * self.x + w[:, 1:2] * self.y + w[:, 2:3] * self.z
 
+    def each(self, which: tuple[np.ndarray, ...]) -> Iterator[tuple[int, LobeKind, np.ndarray, Seen]]:
+        """The lobes of every slot and kind where `which` (one (n,) bool for each slot): slot, kind, rows (m,), and what is there."""
+        for i, (slot, here) in enumerate(zip(self.slots, which, strict=True)):
+            kind = np.where(here, slot.kind, np.int8(0))
+            for k in present(kind):
+                rows = np.flatnonzero(kind == k)
+                yield i, LOBES[k], rows, self.seen(i, rows)
+
+    def seen(self, i: int, rows: np.ndarray) -> Seen:
+        """Slot `i` in some rows, all of one kind."""
+        s = self.slots[i]
+        return Seen(self.local[rows], s.color[rows], s.alpha[rows], s.ior[rows], s.gain[rows], self.entering[rows])
+
+    def albedos(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+        """Where lobes reflect only a part of their colour towards wo: slot, rows (m,), and the part (m,)."""
+        for i, kind, rows, seen in self.each(tuple(PARTIAL[s.kind] for s in self.slots)):
+            yield i, rows, self.coat(rows) if kind.is_coat else kind.albedo(seen)
+
+    def without(self, gone: tuple[np.ndarray, ...]) -> Lobes:
+        """The same, the slots taken out where `gone` (one (n,) bool for each slot) says so; a coat still dims what lies below it."""
+        return replace(self, slots=tuple(replace(s, kind=np.where(g, np.int8(0), s.kind)) for s, g in zip(self.slots, gone, strict=True)))
+
+    def without_diffuse(self, which: np.ndarray) -> Lobes:
+        """The same with no diffuse lobe in the rows `which` (n,) bool."""
+        return replace(self, diffuse=np.where(which[:, None], np.float32(0), self.diffuse))
+
+    def white(self) -> Lobes:
+        """White diffuse surfaces at the same points, without a coat."""
+        slots = tuple(replace(s, kind=np.zeros_like(s.kind)) for s in self.slots)
+        return replace(self, diffuse=np.ones_like(self.diffuse), slots=slots, material=np.full_like(self.material, -1))
+
+    def coat(self, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """(m,) albedo towards wo of what coats the points in some rows, 0 without a coat."""
+        return self.table.coat_at(self.material[rows], self.local[rows, 2])
+
+    def others(self) -> np.ndarray:
+        """(n,) bool: whether there is any lobe but the diffuse one."""
+        out = np.zeros(len(self.wo), bool)
+        for slot in self.slots:
+            out |= slot.kind > 0
+        return out
+
     def smooth_part(self) -> np.ndarray:
         """(n,) bool: whether any lobe has a density, so that light sampling makes sense."""
         any_ = self.diffuse.max(axis=1) > 0
         for s in self.slots:
             any_ |= (s.kind > 0) & ~s.delta
         return any_
+
+    def rough_passing(self) -> np.ndarray:
+        """(n,) bool: whether any lobe spreads light over directions beyond the surface."""
+        out = np.zeros(len(self.wo), bool)
+        for s in self.slots:
+            out |= REFRACTING[s.kind] & ~s.delta
+        return out
 
 
 class BsdfTable:
@@ -124,9 +166,7 @@ class BsdfTable:
 
     def _gain(self, lobe: Lobe | None) -> int:
         """Row of `gains` for a lobe."""
-        if lobe is None or not lobe.multiscatter or lobe.kind not in ("glossy", "metallic", "glass"):
-            return 0
-        return self.gains.row(lobe.roughness, lobe.ior if lobe.kind == "glass" else None)
+        return 0 if lobe is None else LOBES[KINDS[lobe.kind]].gain_row(lobe, self.gains)
 
     def _coats(self, others: list) -> tuple[np.ndarray, np.ndarray]:
         """Albedo of each material's dielectric coat over the cosine, (nm, MU), and its cosine-weighted mean (nm,)."""
@@ -134,7 +174,7 @@ class BsdfTable:
         mu = ((np.arange(MU) + 0.5) / MU).astype(np.float32)
         for i, lobes in enumerate(others):
             for lobe in lobes:
-                if lobe.kind == "specular":
+                if LOBES[KINDS[lobe.kind]].is_coat:
                     tint = float(np.mean(lobe.color.constant)) if lobe.color.is_constant else 1.0
                     table[i] += tint * coat_albedo(mu, lobe.roughness, lobe.ior)
         table = np.minimum(table, np.float32(0.999))
@@ -181,38 +221,14 @@ def coat_albedo(mu: np.ndarray, roughness: float, ior: float) -> np.ndarray:
     return np.where(wi[:, 2] > 0, value, 0).reshape(len(mu), -1).mean(axis=1)
 
 
-def reflectance(kind: np.ndarray, slot: Slot, cosine: np.ndarray, eta: np.ndarray) -> np.ndarray:
-    """(n, 3) share of light that a facet reflects, by the lobe's kind."""
-    out = slot.color.copy()
-    which = kind == METALLIC
-    if which.any():
-        out[which] = mf.schlick(cosine[which], slot.color[which])
-    which = (kind == SPECULAR) | (kind == GLASS) | (kind == DIELECTRIC)
-    if which.any():
-        out[which] = slot.color[which] * mf.fresnel(cosine[which], eta[which])[:, None]
-    out[(kind == REFRACTION) | (kind == TRANSPARENT)] = 0
-    return out
-
-
-def relative_ior(lobes: Lobes, slot: Slot) -> np.ndarray:
-    """Index beyond the surface over the index on the side of wo. A coat is never seen from inside: it lies on both sides."""
-    inside = ~lobes.entering & (slot.kind != SPECULAR)
-    return np.where(inside, 1 / slot.ior, slot.ior).astype(np.float32)
-
-
-def _diffuse_scale(lobes: Lobes, cos_i: np.ndarray) -> np.ndarray:
-    """(n,) what a coat leaves for the diffuse base below, reciprocal in wo and wi (Ashikhmin et al. 2000)."""
+def _below_coat(lobes: Lobes, cosine: np.ndarray) -> np.ndarray | None:
+    """(n,) what coats leave for lobes below, reciprocal in wo and wi (Ashikhmin et al. 2000); `cosine` (n,) of wi. None: no coats."""
     table = lobes.table
     if not table.coat.any():
-        return np.ones(len(cos_i), np.float32)
-    out = 1 - table.coat_at(lobes.material, lobes.local[:, 2])
-    back = 1 - table.coat_at(lobes.material, cos_i)
+        return None
+    out = 1 - lobes.coat()
+    back = 1 - table.coat_at(lobes.material, cosine)
     return out * back / (1 - table.coat_mean[lobes.material])
-
-
-def boundary_share(lobes: Lobes, slot: Slot) -> np.ndarray:
-    """(n,) Fresnel reflectance of a smooth boundary seen from wo."""
-    return mf.fresnel(lobes.local[:, 2], relative_ior(lobes, slot))
 
 
 def weights(lobes: Lobes) -> np.ndarray:
@@ -221,13 +237,8 @@ def weights(lobes: Lobes) -> np.ndarray:
     p[0] = lobes.diffuse.mean(axis=1)
     for i, s in enumerate(lobes.slots):
         p[i + 1] = np.where(s.kind > 0, s.color.mean(axis=1), 0)
-        coat = s.kind == SPECULAR
-        if coat.any():
-            at = lobes.table.coat_at(lobes.material[coat], lobes.local[coat, 2])
-            p[i + 1, coat] *= np.maximum(at, np.float32(0.02))
-        boundary = s.kind == DIELECTRIC
-        if boundary.any():
-            p[i + 1, boundary] *= np.maximum(boundary_share(lobes, s)[boundary], np.float32(0.02))
+    for i, rows, albedo in lobes.albedos():
+        p[i + 1, rows] *= np.maximum(albedo, np.float32(0.02))
     return p / np.maximum(p.sum(axis=0), mf.TINY)
 
 
@@ -235,64 +246,28 @@ def evaluate(lobes: Lobes, wi: np.ndarray, p: np.ndarray | None = None) -> tuple
     """f(wo, wi) |cos| (n, 3) float32 and the density pdf_w (n,) with which `sample` finds wi; delta lobes count for nothing."""
     p = weights(lobes) if p is None else p
     w = lobes.to_local(wi)
+    # 1. The diffuse lobe, which most points have.
     up = np.maximum(w[:, 2], 0)
-    value = lobes.diffuse * (up * _diffuse_scale(lobes, up) / mf.PI)[:, None]
+    below = _below_coat(lobes, up)
+    value = lambert(lobes.diffuse, up if below is None else up * below)
     pdf = p[0] * up / mf.PI
-    for i, slot in enumerate(lobes.slots):
-        which = np.flatnonzero((slot.kind > 0) & ~slot.delta)
-        if len(which):
-            part = slot.take(which)
-            f, q = _evaluate_slot(lobes.local[which], w[which], part, relative_ior(lobes, slot)[which])
-            if part.gain.any():
-                f *= _multiple(lobes.table.gains, part, ~lobes.entering[which], lobes.local[which], w[which])
-            value[which] += f
-            pdf[which] += p[i + 1, which] * q
+    # 2. The others, where they have a density.
+    for i, kind, rows, seen in lobes.each(tuple(~s.delta for s in lobes.slots)):
+        f, q = kind.evaluate(seen, w[rows])
+        f *= gain_factor(kind, seen, w[rows], lobes.table.gains)
+        if kind.under_coat and below is not None:
+            f *= below[rows, None]
+        value[rows] += f
+        pdf[rows] += p[i + 1, rows] * q
     return value.astype(np.float32), pdf.astype(np.float32)
 
 
-def mean_reflectance(kind: np.ndarray, color: np.ndarray) -> np.ndarray:
-    """(n, 3) what facets reflect and pass in the mean over all angles: of Schlick's reflectance the mean is f0 + (1 - f0) / 21."""
-    return np.where((kind == METALLIC)[:, None], color + (1 - color) / 21, color)
-
-
-def _multiple(gains: Gains, slot: Slot, inside: np.ndarray, wo: np.ndarray, wi: np.ndarray) -> np.ndarray:
-    """(n, 3) factor on single scattering that gives back what bounces again between microfacets."""
-    kept = gains.kept(slot.gain, mean_reflectance(slot.kind, slot.color))
-    return 1 + kept * gains.excess(slot.gain, inside, wo, wi)[:, None]
-
-
-def _evaluate_slot(wo: np.ndarray, wi: np.ndarray, slot: Slot, eta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """f |cos| and pdf_w of one rough lobe, reflecting above the surface and transmitting below."""
-    value = np.zeros((len(wo), 3), np.float32)
-    pdf = np.zeros(len(wo), np.float32)
-    above = np.flatnonzero((wi[:, 2] > 0) & (slot.kind != REFRACTION))
-    if len(above):
-        o, i, a, e = wo[above], wi[above], slot.alpha[above], eta[above]
-        part = slot.take(above)
-        h = o + i
-        h /= np.maximum(np.sqrt(mf.dot(h, h)), mf.TINY)[:, None]
-        c = mf.dot(o, h)
-        share = reflectance(part.kind, part, c, e)
-        value[above] = share * (mf.distribution(h, a) * mf.masking(o, i, a) / (4 * o[:, 2]))[:, None]
-        # A glass lobe reflects with probability Fresnel, the others always.
-        q = np.where(part.kind == GLASS, mf.fresnel(c, e), np.float32(1))
-        pdf[above] = q * mf.visible_pdf(o, h, a) / np.maximum(4 * c, np.float32(1e-7))
-    below = np.flatnonzero((wi[:, 2] < 0) & ((slot.kind == GLASS) | (slot.kind == REFRACTION)))
-    if len(below):
-        o, i, a, e = wo[below], wi[below], slot.alpha[below], eta[below]
-        h = -(o + e[:, None] * i)
-        h *= np.where(h[:, 2] < 0, np.float32(-1), np.float32(1))[:, None]
-        h /= np.maximum(np.sqrt(mf.dot(h, h)), mf.TINY)[:, None]
-        co, ci = mf.dot(o, h), mf.dot(i, h)
-        good = (co > 0) & (ci < 0)
-        f = np.where(slot.kind[below] == GLASS, mf.fresnel(co, e), np.float32(0))
-        # dw_h / dw_i with the index on the side of wi: Walter et al. 2007, Eq. 17.
-        jacobian = e * e * np.abs(ci) / np.maximum((co + e * ci) ** 2, np.float32(1e-12))
-        d = mf.distribution(h, a)
-        g = 1 / (1 + mf.smith_lambda(o, a)) / (1 + mf.smith_lambda(i, a))
-        value[below] = slot.color[below] * np.where(good, np.abs(co) * jacobian * (1 - f) * g * d / o[:, 2], 0)[:, None]
-        pdf[below] = np.where(good, (1 - f) * mf.visible_pdf(o, h, a) * jacobian, 0)
-    return value, pdf
+def gain_factor(kind: LobeKind, seen: Seen, wi: np.ndarray, gains: Gains) -> np.ndarray | np.float32:
+    """(m, 3) factor on single scattering that gives back what bounces again between microfacets; 1 where it is lost."""
+    if not seen.gain.any():
+        return np.float32(1)
+    kept = gains.kept(seen.gain, kind.mean(seen.color))
+    return 1 + kept * gains.excess(seen.gain, ~seen.entering, seen.wo, wi)[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,43 +292,21 @@ def sample(lobes: Lobes, rng: np.random.Generator, uniform: np.ndarray | None = 
     wi = np.zeros((n, 3), np.float32)
     weight = np.zeros((n, 3), np.float32)
     delta = np.zeros(n, bool)
-    # 2. Diffuse: cosine law.
-    phi, s = 2 * mf.PI * r[1], np.sqrt(r[2])
-    z = np.sqrt(np.maximum(1 - r[2], 0))
-    cosine = np.stack([s * np.cos(phi), s * np.sin(phi), z], axis=1)
-    wi[pick == 0] = cosine[pick == 0]
-    # 3. The others: a facet, then reflection or transmission at it.
-    for i, slot in enumerate(lobes.slots):
-        which = np.flatnonzero((pick == i + 1) & (slot.kind > 0))
-        if not len(which):
-            continue
-        part = slot.take(which)
-        d = part.delta
-        eta = relative_ior(lobes, slot)[which]
-        o = lobes.local[which]
-        h = mf.visible_normal(o, part.alpha, r[1, which], r[2, which])
-        h[d] = (0, 0, 1)
-        c = mf.dot(o, h)
-        f = np.where(part.kind == GLASS, mf.fresnel(c, eta), np.float32(part.kind != REFRACTION))
-        go = (r[3, which] >= f) & ((part.kind == GLASS) | (part.kind == REFRACTION))
-        t, total = mf.refract(o, h, eta)
-        w = np.where(go[:, None], t, mf.reflect(o, h))
-        straight = part.kind == TRANSPARENT
-        w[straight] = -o[straight]
-        lost = (go & total) | (~go & ~straight & (w[:, 2] <= 0)) | (go & (w[:, 2] >= 0))
-        wi[which] = w
-        # Delta lobes: the choice between reflection and transmission cancels the Fresnel share.
-        share = np.where((part.kind == GLASS)[:, None], part.color, reflectance(part.kind, part, c, eta))
-        share = np.where((go | straight)[:, None], part.color, share)
-        weight[which] = np.where((d & ~lost)[:, None], share / np.maximum(p[i + 1, which], mf.TINY)[:, None], 0)
-        delta[which] = d
-        wi[which[lost]] = 0
-    # 4. Rough and diffuse: the whole BSDF over the whole density.
+    # 2. A direction in it: the diffuse lobe first, then the others.
+    rows = np.flatnonzero(pick == 0)
+    wi[rows] = cosine_directions(r[1:, rows])
+    for i, kind, rows, seen in lobes.each(tuple(pick == i + 1 for i in range(len(lobes.slots)))):
+        smooth = lobes.slots[i].delta[rows]
+        drawn = kind.sample(seen, smooth, r[1:, rows])
+        wi[rows], delta[rows] = drawn.wi, smooth
+        found = smooth & drawn.wi.any(axis=1)
+        weight[rows] = np.where(found[:, None], drawn.share / np.maximum(p[i + 1, rows], mf.TINY)[:, None], 0)
+    # 3. Rough and diffuse: the whole BSDF over the whole density.
     world = lobes.to_world(wi)
-    smooth = np.flatnonzero(~delta & (np.abs(wi[:, 2]) > 0))
+    dense = np.flatnonzero(~delta & (np.abs(wi[:, 2]) > 0))
     pdf = np.zeros(n, np.float32)
-    if len(smooth):
-        value, q = evaluate(lobes.take(smooth), world[smooth], p[:, smooth])
-        weight[smooth] = np.where((q > 0)[:, None], value / np.maximum(q, mf.TINY)[:, None], 0)
-        pdf[smooth] = q
+    if len(dense):
+        value, q = evaluate(lobes.take(dense), world[dense], p[:, dense])
+        weight[dense] = np.where((q > 0)[:, None], value / np.maximum(q, mf.TINY)[:, None], 0)
+        pdf[dense] = q
     return Scattered(world.astype(np.float32), weight, pdf, delta, wi[:, 2] < 0)

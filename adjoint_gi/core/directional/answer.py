@@ -105,7 +105,7 @@ class DirectionalAnswer:
             # A generator for each chunk, so that neither threads nor order change the result.
             direct, cast = self._direct_light(surface, lobes, self.scattering.shiny[element], np.random.default_rng([13, index]))
             rays += cast
-        coat = 1 - self.table.coat_at(lobes.material, lobes.local[:, 2])
+        coat = 1 - lobes.coat()
         base = lobes.diffuse * (coat / np.float32(np.pi))[:, None]
         seen = _Seen(points.receiver[on], side, a, b, self.caster.to_local(side, towards), base)
         sums = [_sum(points.receiver, emitted), _sum(seen.receiver, world.albedo(surface)), _sum(seen.receiver, direct)]

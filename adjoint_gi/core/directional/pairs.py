@@ -15,7 +15,6 @@ from ..bsdf import table as bsdf
 from ..bsdf.multiscatter import Gains
 
 PAIRS = 1 << 15
-CLEAR = (bsdf.GLASS, bsdf.REFRACTION)
 
 # The additive sequence of M. Roberts in five dimensions: powers of 1 / phi, phi the root of x^6 = x + 1.
 _PHI = 1.1347241384015194
@@ -67,10 +66,3 @@ def pairs(kind: int, alpha: float, ior: float, front: bool, table: bsdf.BsdfTabl
     other[:, 2] = np.abs(other[:, 2])
     weight = np.where(np.isfinite(s.weight[:, 0]), s.weight[:, 0], 0).astype(np.float64)
     return Pairs(given, other, s.through & (weight > 0), weight)
-
-
-def facet_share(p: Pairs) -> np.ndarray:
-    """(n,) float64: (1 - c)^5 of Schlick's reflectance, c the cosine to the facet that mirrors one direction into the other."""
-    h = p.given + p.other
-    h /= np.maximum(np.linalg.norm(h, axis=1), 1e-20)[:, None]
-    return np.clip(1 - np.einsum("ij,ij->i", p.given, h).astype(np.float64), 0, 1) ** 5

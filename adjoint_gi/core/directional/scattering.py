@@ -13,8 +13,9 @@ from typing import Protocol
 import numpy as np
 
 from ..bsdf import table as bsdf
+from ..bsdf.lobes import KINDS, LOBES
 from ..elements.elements import COLOR_GRID, Elements
-from .pairs import CLEAR, PAIRS, Pairs, facet_share, pairs
+from .pairs import PAIRS, Pairs, pairs
 
 
 class Basis(Protocol):
@@ -92,17 +93,16 @@ class Scattering:
             parts: list[Part] = []
             for slot, (kind, alpha, ior, gain) in enumerate(kinds[index]):
                 color = colors[1 + slot][which]
-                if not kind or (kind != bsdf.METALLIC and not color.any()):
+                tints = LOBES[kind].tints(color)
+                if not kind or not any(tint.any() for tint in tints):
                     continue
-                self.clear |= kind in CLEAR and ior != 1
+                self.clear |= LOBES[kind].refracts and ior != 1
                 key = (kind, alpha, ior, gain)
                 if key not in cache:
                     cache[key] = _kernels(basis, *key, table, self.pairs)
                     yield (done - 0.5) / len(used)
-                tints = [color, np.ones_like(color)] if kind == bsdf.METALLIC else [color]
                 if gain:
-                    mean = bsdf.mean_reflectance(np.full(len(color), kind), color)
-                    kept = table.gains.kept(np.full(len(color), gain), mean)
+                    kept = table.gains.kept(np.full(len(color), gain), LOBES[kind].mean(color))
                     tints += [tint * kept for tint in tints]
                 parts += [Part(tint, *kernel) for tint, kernel in zip(tints, cache[key], strict=True)]
             left = right = flat
@@ -170,19 +170,15 @@ def _product(kernel: np.ndarray, x: np.ndarray, transposed: bool) -> np.ndarray:
 
 
 def _kernels(basis: Basis, kind: int, alpha: float, ior: float, gain: int, table: bsdf.BsdfTable, count: int) -> list:
-    """One pair of matrices, or two for metals: of the part that takes the metal's colour, and of Schlick's white rest. The same once
-    more, where there is a gain, for what bounces more than once between microfacets.
+    """One pair of matrices for each part of the lobe that has a colour of its own (`LobeKind.tints`). The same once more, where there
+    is a gain, for what bounces more than once between microfacets.
     """
-    through = kind in CLEAR or kind == bsdf.TRANSPARENT
-    measure = np.array([1.0, ior * ior if kind in CLEAR else 1.0])
-    drawn = bsdf.GLOSSY if kind == bsdf.METALLIC else kind
-    front = pairs(drawn, alpha, ior, True, table, count)
-    # What only reflects looks the same from behind, unless an index differs.
-    back = pairs(drawn, alpha, ior, False, table, count) if through or kind == bsdf.DIELECTRIC else front
-    shares = [(1.0, 1.0)]
-    if kind == bsdf.METALLIC:
-        white = facet_share(front)
-        shares = [(1 - white, 1 - white), (white, white)]
+    lobe = LOBES[kind]
+    measure = np.array([1.0, ior * ior if lobe.refracts else 1.0])
+    name, width = lobe.split(alpha)
+    front = pairs(KINDS[name], width, ior, True, table, count)
+    back = front if lobe.two_sided else pairs(KINDS[name], width, ior, False, table, count)
+    shares = list(zip(lobe.factors(front.given, front.other), lobe.factors(back.given, back.other), strict=True))
     if gain:
         more = (front.excess(table.gains, gain, False), back.excess(table.gains, gain, True))
         shares += [(a * more[0], b * more[1]) for a, b in shares]

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..bsdf import table as bsdf
+from ..bsdf.lobes import HIGHLIGHT
 from ..bsdf.microfacet import dot
 from ..scene.world import Surface, World
 from .emitters import Emitters
@@ -73,13 +74,8 @@ def phong_lobe(lobes: bsdf.Lobes, wi: np.ndarray) -> np.ndarray:
     mirrored = 2 * dot(wi, lobes.z)[:, None] * lobes.z - wi
     cosine = np.maximum(dot(mirrored, lobes.wo), 0)
     out = np.zeros((len(wi), 3), np.float32)
-    for slot in lobes.slots:
-        power = exponent(np.sqrt(slot.alpha))
-        lobe = (power + 2) / np.float32(2 * np.pi) * cosine**power
-        tint = slot.color
-        coat = slot.kind == bsdf.SPECULAR
-        if coat.any():
-            tint = np.where(coat[:, None], tint * (((slot.ior - 1) / (slot.ior + 1)) ** 2)[:, None], tint)
-        reflects = (slot.kind == bsdf.GLOSSY) | (slot.kind == bsdf.METALLIC) | coat
-        out += np.where(reflects[:, None], tint * lobe[:, None], 0)
+    for _, kind, rows, seen in lobes.each(tuple(HIGHLIGHT[s.kind] for s in lobes.slots)):
+        power = exponent(np.sqrt(seen.alpha))
+        lobe = (power + 2) / np.float32(2 * np.pi) * cosine[rows] ** power
+        out[rows] += kind.highlight_tint(seen) * lobe[:, None]
     return out

@@ -16,7 +16,6 @@ from ..bsdf import table as bsdf
 from ..lights.direct import direct_irradiance
 from ..scene.world import Surface
 from ..walks.gathering import Estimate
-from ..walks.mirror_chains import without_diffuse
 from ..walks.radiance import Gathered, Walk, departure, leaving, light_share, lobes_of, met, next_event, take, white
 from .known_light import KnownLight
 
@@ -55,14 +54,12 @@ class View:
                 out[row[at]] += bright * first
                 indirect[row[at]] += bright * rest
                 rays += cast
-                lobes = without_diffuse(lobes, known)
+                lobes = lobes.without_diffuse(known)
             at = np.flatnonzero(~known & (lobes.diffuse.max(axis=1) > 0))
             if self.unmet is not None and len(at):
                 indirect[row[at]] += weight[at] * below_coat(lobes, at) * self.unmet.at(take(surface, at), segments)[1]
             # Step 2: points with nothing left have come to their end.
-            left = lobes.diffuse.max(axis=1) > 0
-            for slot in lobes.slots:
-                left |= slot.kind > 0
+            left = (lobes.diffuse.max(axis=1) > 0) | lobes.others()
             if not left.all():
                 at = np.flatnonzero(left)
                 row, weight, hops, mirrored = row[at], weight[at], hops[at], mirrored[at]
@@ -116,7 +113,7 @@ def below_coat(lobes: bsdf.Lobes, at: np.ndarray) -> np.ndarray:
     part = lobes.diffuse[at] / mf.PI
     if not lobes.table.coat.any():
         return part
-    return part * (1 - lobes.table.coat_at(lobes.material[at], lobes.local[at, 2]))[:, None]
+    return part * (1 - lobes.coat(at))[:, None]
 
 
 def estimator(view: View) -> Estimate:

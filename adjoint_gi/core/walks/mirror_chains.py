@@ -7,11 +7,10 @@ light to the diffuse lobe there and goes on by one direction of the other lobes,
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from ..bsdf import mirrors
 from ..bsdf import table as bsdf
 from ..scene.shading import ColorField
 from ..scene.world import Surface, World
@@ -107,9 +106,9 @@ class Chains:
         at = np.flatnonzero(self.shiny[surface.triangle])
         part = take(surface, at)
         lobes = self.table.at(part.triangle, part.u, part.v, part.ns, part.side, wo[at])
-        lobes = without_diffuse(lobes, np.ones(len(at), bool))
+        lobes = lobes.without_diffuse(np.ones(len(at), bool))
         if not self.rough:
-            lobes = mirrors.without(lobes, tuple(~s.delta for s in lobes.slots))
+            lobes = lobes.without(tuple(~s.delta for s in lobes.slots))
         scattered = bsdf.sample(lobes, rng)
         go = leaving(part, scattered)
         value = weight[at[go]] * scattered.weight[go]
@@ -120,8 +119,3 @@ class Chains:
         side = np.where(scattered.through[go], np.float32(-1), np.float32(1))[:, None]
         origin = part.position[go] + side * np.float32(self.world.offset) * part.ng[go]
         return at[go], np.ascontiguousarray(origin), np.ascontiguousarray(scattered.wi[go]), value, scattered.delta[go]
-
-
-def without_diffuse(lobes: bsdf.Lobes, which: np.ndarray) -> bsdf.Lobes:
-    """The same lobes with no diffuse one in the rows `which` (n,) bool."""
-    return replace(lobes, diffuse=np.where(which[:, None], np.float32(0), lobes.diffuse))

@@ -190,9 +190,7 @@ def _sampled(
     """Directions and power by the whole BSDF; points that have no other lobe than diffuse as in `_diffuse`."""
     wo = -direction
     lobes = table.at(surface.triangle, surface.u, surface.v, surface.ns, surface.side, wo)
-    plain = np.ones(len(wo), bool)
-    for slot in lobes.slots:
-        plain &= slot.kind == 0
+    plain = ~lobes.others()
     out = _diffuse(world, surface, arriving, lobes.diffuse, importance, rng)
     rest = np.flatnonzero(~plain)
     if out.direction is not None:

@@ -8,7 +8,7 @@ event) and by the rays of the BSDF, joined by multiple importance sampling (Veac
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -181,10 +181,7 @@ def next_event(
 
 def light_share(lobes: bsdf.Lobes) -> np.ndarray:
     """(n,) float32: with which probability light points are looked for on the side they lie on; half where light passes a rough lobe."""
-    through = np.zeros(len(lobes.wo), bool)
-    for slot in lobes.slots:
-        through |= ((slot.kind == bsdf.GLASS) | (slot.kind == bsdf.REFRACTION)) & ~slot.delta
-    return np.where(through, np.float32(0.5), np.float32(1))
+    return np.where(lobes.rough_passing(), np.float32(0.5), np.float32(1))
 
 
 def met(walk: Walk, origin: np.ndarray, wi: np.ndarray, hit: tuple, pdf: np.ndarray, delta: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -239,9 +236,4 @@ def take(surface: Surface, which: np.ndarray) -> Surface:
 
 def white(walk: Walk, surface: Surface) -> bsdf.Lobes:
     """Lobes of a white diffuse surface: what an irradiance receiver gathers is pi times the radiance these send."""
-    lobes = lobes_of(walk, surface, surface.ns)
-    slots = tuple(replace(s, kind=np.zeros_like(s.kind)) for s in lobes.slots)
-    no_coat = np.full_like(lobes.material, -1)
-    return bsdf.Lobes(
-        lobes.wo, lobes.local, lobes.x, lobes.y, lobes.z, np.ones_like(lobes.diffuse), slots, lobes.entering, no_coat, lobes.table
-    )
+    return lobes_of(walk, surface, surface.ns).white()

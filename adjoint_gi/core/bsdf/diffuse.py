@@ -1,0 +1,35 @@
+"""Lambert's law: radiance is the same in all directions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import microfacet as mf
+from .lobe import Drawn, LobeKind, Seen
+
+
+class Diffuse(LobeKind):
+    """f = colour / pi."""
+
+    name = "diffuse"
+    under_coat = True
+
+    def evaluate(self, seen: Seen, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """By the cosine."""
+        up = np.maximum(wi[:, 2], 0)
+        return lambert(seen.color, up), up / mf.PI
+
+    def sample(self, seen: Seen, smooth: np.ndarray, r: np.ndarray) -> Drawn:
+        """With the density cosine / pi."""
+        return Drawn(cosine_directions(r), seen.color)
+
+
+def lambert(color: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    """(n, 3) f |cos| of an ideal diffuser."""
+    return color * (cosine / mf.PI)[:, None]
+
+
+def cosine_directions(r: np.ndarray) -> np.ndarray:
+    """(n, 3) directions about z with the density cosine / pi, from `r` (2 or more, n)."""
+    phi, s = 2 * mf.PI * r[0], np.sqrt(r[1])
+    return np.stack([s * np.cos(phi), s * np.sin(phi), np.sqrt(np.maximum(1 - r[1], 0))], axis=1)

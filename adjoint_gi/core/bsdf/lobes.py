@@ -1,0 +1,45 @@
+"""The table of all lobe kinds. A new one is a file with its `LobeKind`, and a line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from .diffuse import Diffuse
+from .lobe import LobeKind
+from .reflection import Dielectric, Glossy, Metallic, Specular
+from .transmission import Glass, Refraction, Transparent
+
+# A lobe's number is its place here. Diffuse is number 0: points keep its colour apart, and an empty slot has this number, too.
+LOBES: tuple[LobeKind, ...] = (
+    Diffuse(),
+    Glossy(),
+    Metallic(),
+    Specular(),
+    Glass(),
+    Refraction(),
+    Transparent(),
+    Dielectric(),
+)
+DIFFUSE, GLOSSY, METALLIC, SPECULAR, GLASS, REFRACTION, TRANSPARENT, DIELECTRIC = range(8)
+KINDS = {kind.name: number for number, kind in enumerate(LOBES) if number}
+ALL_LOBES = frozenset(kind.name for kind in LOBES)
+DELTA_BELOW = np.array([kind.delta_below for kind in LOBES], np.float32)
+
+
+def those(which: Callable[[LobeKind], bool]) -> np.ndarray:
+    """(kinds,) bool table of a property, to be indexed by numbers of kinds."""
+    return np.array([which(kind) for kind in LOBES])
+
+
+REFLECTING = those(lambda kind: kind.reflects)
+PASSING = those(lambda kind: kind.passes)
+REFRACTING = those(lambda kind: kind.refracts)
+PARTIAL = those(lambda kind: kind.partial)
+HIGHLIGHT = those(lambda kind: kind.highlight)
+
+
+def present(kind: np.ndarray) -> list[int]:
+    """The kinds among the numbers `kind` (n,), empty slots left out."""
+    return [int(k) for k in np.flatnonzero(np.bincount(kind, minlength=1)) if k]

@@ -1,0 +1,125 @@
+"""Lobes that only reflect, by GGX microfacets; they differ in what a facet reflects (Cook and Torrance 1982 [review 9])."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene.arrays import Lobe
+from . import microfacet as mf
+from .lobe import DELTA_ALPHA, Drawn, LobeKind, Seen
+from .multiscatter import Gains
+
+
+class Reflection(LobeKind):
+    """What the facets `reflected`, times D G / (4 wo_z)."""
+
+    delta_below = DELTA_ALPHA
+    reflects = True
+
+    def evaluate(self, seen: Seen, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Above the surface only."""
+        value, pdf = np.zeros((len(wi), 3), np.float32), np.zeros(len(wi), np.float32)
+        above = np.flatnonzero(wi[:, 2] > 0)
+        if len(above):
+            here = seen.take(above)
+            h, cosine, scale = mirrored(here, wi[above])
+            value[above] = self.reflected(here, cosine) * scale[:, None]
+            pdf[above] = mf.visible_pdf(here.wo, h, here.alpha) / np.maximum(4 * cosine, np.float32(1e-7))
+        return value, pdf
+
+    def sample(self, seen: Seen, smooth: np.ndarray, r: np.ndarray) -> Drawn:
+        """A visible facet, and the direction that it mirrors wo to."""
+        h = facets(seen, smooth, r)
+        wi = mf.reflect(seen.wo, h)
+        wi[wi[:, 2] <= 0] = 0
+        return Drawn(wi, self.reflected(seen, mf.dot(seen.wo, h)))
+
+
+class Glossy(Reflection):
+    """Facets of one colour at all angles."""
+
+    name = "glossy"
+    highlight = True
+
+    def reflected(self, seen: Seen, cosine: np.ndarray) -> np.ndarray:
+        """The colour."""
+        return seen.color
+
+    def gain_row(self, lobe: Lobe, gains: Gains) -> int:
+        """Light that bounces again between facets is given back where the lobe says so."""
+        return gains.row(lobe.roughness, None) if lobe.multiscatter else 0
+
+
+class Metallic(Glossy):
+    """Facets of a conductor, by Schlick: the colour at normal incidence, white at grazing angles."""
+
+    name = "metallic"
+
+    def reflected(self, seen: Seen, cosine: np.ndarray) -> np.ndarray:
+        """By Schlick's formula."""
+        return mf.schlick(cosine, seen.color)
+
+    def mean(self, color: np.ndarray) -> np.ndarray:
+        """The mean of Schlick's reflectance is f0 + (1 - f0) / 21."""
+        return color + (1 - color) / 21
+
+    def split(self, alpha: float) -> tuple[str, float]:
+        """Facets of one colour."""
+        return Glossy.name, alpha
+
+    def factors(self, given: np.ndarray, other: np.ndarray) -> list[np.ndarray]:
+        """The part that takes the metal's colour, and Schlick's white rest: (1 - c)^5, c the cosine to the facet between the two."""
+        h = given + other
+        h /= np.maximum(np.linalg.norm(h, axis=1), 1e-20)[:, None]
+        white = np.clip(1 - np.einsum("ij,ij->i", given, h).astype(np.float64), 0, 1) ** 5
+        return [1 - white, white]
+
+    def tints(self, color: np.ndarray) -> list[np.ndarray]:
+        """The metal's colour, and white."""
+        return [color, np.ones_like(color)]
+
+
+class Dielectric(Reflection):
+    """What glass reflects, without what it passes: by Fresnel."""
+
+    name = "dielectric"
+    two_sided = False
+    partial = True
+
+    def reflected(self, seen: Seen, cosine: np.ndarray) -> np.ndarray:
+        """By Fresnel's equations."""
+        return seen.color * mf.fresnel(cosine, seen.eta)[:, None]
+
+    def albedo(self, seen: Seen) -> np.ndarray:
+        """The reflectance of a smooth boundary."""
+        return mf.fresnel(seen.wo[:, 2], seen.eta)
+
+
+class Specular(Reflection):
+    """A dielectric coat over what the material has `under_coat`. It lies on both sides and is never seen from inside."""
+
+    name = "specular"
+    is_coat = highlight = partial = True
+
+    def reflected(self, seen: Seen, cosine: np.ndarray) -> np.ndarray:
+        """By Fresnel's equations."""
+        return seen.color * mf.fresnel(cosine, seen.ior)[:, None]
+
+    def highlight_tint(self, seen: Seen) -> np.ndarray:
+        """What it reflects at normal incidence."""
+        return seen.color * (((seen.ior - 1) / (seen.ior + 1)) ** 2)[:, None]
+
+
+def facets(seen: Seen, smooth: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """(m, 3) visible facet normals, z where `smooth`."""
+    h = mf.visible_normal(seen.wo, seen.alpha, r[0], r[1])
+    h[smooth] = (0, 0, 1)
+    return h
+
+
+def mirrored(seen: Seen, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """For wi (m, 3) above the surface: the facet normal h (m, 3) between wo and wi, the cosine (m,) to it, f |cos| (m,) if it is white."""
+    h = seen.wo + wi
+    h /= np.maximum(np.sqrt(mf.dot(h, h)), mf.TINY)[:, None]
+    value = mf.distribution(h, seen.alpha) * mf.masking(seen.wo, wi, seen.alpha) / (4 * seen.wo[:, 2])
+    return h, mf.dot(seen.wo, h), value
