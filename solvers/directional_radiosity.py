@@ -16,13 +16,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..adjoint_gi.core.base.errors import MemoryRefused, Notice
 from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf import table as bsdf
+from ..adjoint_gi.core.bsdf.curves import SHAPES
+from ..adjoint_gi.core.bsdf.lobes import LOBES
 from ..adjoint_gi.core.directional.answer import DirectionalAnswer, Light
 from ..adjoint_gi.core.directional.bins import Bins
 from ..adjoint_gi.core.directional.rays import ArrivingLight, DirectionalRays, Sink
@@ -35,6 +37,7 @@ from ..adjoint_gi.core.method.solution import EnergyBalance, Solution, Step
 from ..adjoint_gi.core.radiosity.schemes import NO_LIMIT
 from ..adjoint_gi.core.radiosity.shared import RadiositySettings, dark_notices
 from ..adjoint_gi.core.receivers.base import Receivers
+from ..adjoint_gi.core.scene.arrays import Color
 from ..adjoint_gi.core.scene.world import World
 
 TARGET = 1000  # elements where max_edge is chosen
@@ -113,8 +116,9 @@ class DirectionalRadiosity(Solver):
     def memory(self, world: World, receivers: Receivers, settings: DirectionalSettings) -> int:
         """Rays both ways, fields of element sides times bins, scattering matrices, receivers."""
         count = element_count(world, receivers, settings.max_edge, TARGET)
-        lobes = {(x.kind, x.roughness, x.ior, x.multiscatter) for m in world.scene.materials for x in m.lobes if x.kind in bsdf.KINDS}
-        parts = sum((2 if kind == "metallic" else 1) * (2 if multiscatter else 1) for kind, _, _, multiscatter in lobes)
+        lobes = {replace(x, color=Color()) for m in world.scene.materials for x in m.lobes if x.kind in bsdf.KINDS}
+        tints = [len(LOBES[bsdf.KINDS[x.kind]].tints(np.ones((1, 3)))) for x in lobes]
+        parts = sum(t * (1 + x.multiscatter) * (SHAPES if x.varies else 1) for t, x in zip(tints, lobes, strict=True))
         bins = settings.bin_rows * settings.bin_columns
         return bytes_needed(2 * count, bins, settings.rays, parts) + 600 * count + 1200 * receivers.count
 

@@ -30,7 +30,7 @@ from ..adjoint_gi.core.lights.light_points import LightPoints, phong_lobe
 from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Receivers
-from ..adjoint_gi.core.scene.arrays import Lobe
+from ..adjoint_gi.core.scene.arrays import Lobe, constant_of
 from ..adjoint_gi.core.scene.world import Surface, World
 from ..adjoint_gi.core.walks.gathering import Run
 from ..adjoint_gi.core.walks.radiance import Gathered, take
@@ -150,7 +150,7 @@ def rough_notices(world: World, rough: str) -> tuple[Notice, ...]:
 def _is_rough(lobe: Lobe) -> bool:
     """Whether a lobe would be followed by rays if it were smooth."""
     kind = LOBES[KINDS.get(lobe.kind, DIFFUSE)]
-    return (kind.reflects or kind.passes) and lobe.roughness**2 >= kind.delta_below
+    return (kind.reflects or kind.passes) and (lobe.varies or constant_of(lobe.roughness) ** 2 >= kind.delta_below)
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +246,7 @@ class Tracer:
         if s.min_length <= length <= s.max_length:
             # Purely diffuse points, most of all, are done together and at less cost.
             shiny = rest.others()
-            if self.table.coat.any():
+            if self.table.any_coat:
                 shiny |= rest.coat() > 0
             for which, sum_up in ((~shiny & (rest.diffuse.max(axis=1) > 0), self._diffuse), (shiny, self._shiny)):
                 able = np.flatnonzero(which)

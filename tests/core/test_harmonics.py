@@ -152,11 +152,7 @@ def test_projected_lobes_come_closer_with_the_order():
     scene = table()
     w, weight = hemisphere_quadrature(96)
     wi = np.tile(np.float32([[np.sqrt(0.5), 0, np.sqrt(0.5)]]), (len(w), 1))
-    axes = (np.tile(np.eye(3, dtype=np.float32)[i], (len(w), 1)) for i in range(3))
-    n = len(w)
-    white = np.ones((n, 3), np.float32)
-    slot = bsdf.Slot(np.full(n, kinds.GLOSSY, np.int8), white, *(np.full(n, x, np.float32) for x in (0.3, 1.5)), np.zeros(n, np.int32))
-    seen = bsdf.Lobes(wi, wi, *axes, np.zeros((n, 3), np.float32), (slot,), np.ones(n, bool), np.full(n, -1, np.int32), scene)
+    seen = bsdf.white_lobe(kinds.GLOSSY, 0.3, 1.5, wi, True, scene)
     value, _ = bsdf.evaluate(seen, w.astype(np.float32))
     exact = value[:, 0] / w[:, 2]
     errors = []

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.arrays import Lobe
-from .multiscatter import Gains
+from .curves import Mixture
 
 # Lobes narrower than this are perfect mirrors: float32 cannot hold their peak.
 DELTA_ALPHA = np.float32(1e-3)
@@ -18,7 +17,7 @@ DELTA_ALPHA = np.float32(1e-3)
 class Seen:
     """Lobes of one kind at m points, seen from `wo` (m, 3) float32, unit, in the frame of the shading normal (z), wo_z > 0.
 
-    color (m, 3); alpha (m,), roughness squared; ior (m,); entering (m,) bool: seen from outside; gain (m,): row of the scene's `Gains`,
+    color (m, 3); alpha (m,), roughness squared; ior (m,); entering (m,) bool: seen from outside; gain: rows of the scene's `Gains`,
     0 where light that bounces more than once between microfacets is lost.
     """
 
@@ -26,13 +25,13 @@ class Seen:
     color: np.ndarray
     alpha: np.ndarray
     ior: np.ndarray
-    gain: np.ndarray
+    gain: Mixture
     entering: np.ndarray
 
     def take(self, which: np.ndarray) -> Seen:
         """The same at a subset of the points."""
-        parts = (self.wo, self.color, self.alpha, self.ior, self.gain, self.entering)
-        return Seen(*(a[which] for a in parts))
+        parts = (self.wo, self.color, self.alpha, self.ior)
+        return Seen(*(a[which] for a in parts), self.gain.take(which), self.entering[which])
 
     @property
     def eta(self) -> np.ndarray:
@@ -60,13 +59,14 @@ class LobeKind(ABC):
     under_coat      whether a coat of the same material lies over it and dims it
     is_coat         whether it is such a coat
     highlight       whether the empirical models of local illumination draw a highlight for it
+    regains         whether `Gains` give back light that bounces more than once between facets (by the index, too, where it `passes`)
     two_sided       whether it looks the same from both sides
     partial         whether `albedo` is far from 1 (of a coat, the scene's table of coats says it)
     """
 
     name = ""
     delta_below = np.float32(0)
-    reflects = passes = refracts = under_coat = is_coat = highlight = partial = False
+    reflects = passes = refracts = under_coat = is_coat = highlight = partial = regains = False
     two_sided = True
 
     def evaluate(self, seen: Seen, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -96,10 +96,6 @@ class LobeKind(ABC):
     def highlight_tint(self, seen: Seen) -> np.ndarray:
         """(m, 3) strength k_s of the highlight."""
         return seen.color
-
-    def gain_row(self, lobe: Lobe, gains: Gains) -> int:
-        """What `Seen.gain` holds for a lobe of a material."""
-        return 0
 
     def split(self, alpha: float) -> tuple[str, float]:
         """The white lobe, the name of its kind and its alpha, on whose pairs of directions `factors` act."""

@@ -17,8 +17,8 @@ from functools import lru_cache
 import numpy as np
 
 from . import microfacet as mf
+from .curves import MU, Curves, Mixture
 
-MU = 32  # entries of s over the cosine
 GRID = 64  # samples of visible normals for an entry, squared
 STEPS = 60  # of the iteration for s
 SMALLEST = 0.05  # roughness below which nothing is lost that could be seen
@@ -85,37 +85,26 @@ def _scattered(roughness: float, ior: float | None, side: int) -> list[tuple[int
     ]
 
 
-class Gains:
-    """The gains of all lobes of a scene as one table. Row 0 is of lobes that scatter once: it changes nothing."""
+class Gains(Curves):
+    """The gains of all lobes of a scene. Row 0 is of lobes that scatter once: it changes nothing."""
 
     def __init__(self) -> None:
-        self._rows: dict[tuple[float, float | None], int] = {}
-        self.curve = np.ones((1, 2, MU), np.float32)
-        self.mean = np.ones(1, np.float32)
+        super().__init__(_curve, 1.0)
 
     def row(self, roughness: float, ior: float | None) -> int:
         """The row of a lobe, made where there is none yet; `ior` is None where nothing passes."""
-        if roughness < SMALLEST:
-            return 0
-        key = (float(roughness), None if ior is None else float(ior))
-        if key not in self._rows:
-            new = gain(*key)
-            self._rows[key] = len(self.curve)
-            self.curve = np.concatenate([self.curve, new.curve[None]])
-            self.mean = np.append(self.mean, np.float32(new.mean))
-        return self._rows[key]
+        return 0 if roughness < SMALLEST else super().row(roughness, ior)
 
-    def at(self, row: np.ndarray, inside: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-        """s (n,) float32 at a cosine, linear between entries."""
-        i, f = mf.cosine_entry(cosine, MU)
-        side = inside.astype(np.int32)
-        return self.curve[row, side, i] * (1 - f) + self.curve[row, side, i + 1] * f
-
-    def kept(self, row: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
+    def kept(self, row: Mixture, reflectance: np.ndarray) -> np.ndarray:
         """m (n, 3): the share of what is given back that facets of mean reflectance (n, 3) do not absorb."""
-        mean = self.mean[row][:, None]
+        mean = self.mean_at(row)[:, None]
         return reflectance * mean / np.maximum(1 - reflectance * (1 - mean), np.float32(1e-6))
 
-    def excess(self, row: np.ndarray, inside: np.ndarray, wo: np.ndarray, wi: np.ndarray) -> np.ndarray:
+    def excess(self, row: Mixture, inside: np.ndarray, wo: np.ndarray, wi: np.ndarray) -> np.ndarray:
         """s(wo) s(wi) - 1 (n,) for directions in the frame of the normal that points to wo's side; `inside`: that is the inside."""
         return self.at(row, inside, wo[:, 2]) * self.at(row, inside ^ (wi[:, 2] < 0), wi[:, 2]) - 1
+
+
+def _curve(roughness: float, ior: float | None) -> tuple[np.ndarray, float]:
+    found = gain(roughness, ior)
+    return found.curve, found.mean

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene.arrays import Lobe
 from . import microfacet as mf
 from .lobe import DELTA_ALPHA, Drawn, LobeKind, Seen
-from .multiscatter import Gains
 
 
 class Reflection(LobeKind):
@@ -39,15 +37,11 @@ class Glossy(Reflection):
     """Facets of one colour at all angles."""
 
     name = "glossy"
-    highlight = True
+    highlight = regains = True
 
     def reflected(self, seen: Seen, cosine: np.ndarray) -> np.ndarray:
         """The colour."""
         return seen.color
-
-    def gain_row(self, lobe: Lobe, gains: Gains) -> int:
-        """Light that bounces again between facets is given back where the lobe says so."""
-        return gains.row(lobe.roughness, None) if lobe.multiscatter else 0
 
 
 class Metallic(Glossy):

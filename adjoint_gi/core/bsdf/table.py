@@ -4,7 +4,7 @@ Three functions, as in Nori and pbrt: `evaluate` (f times cosine, and pdf_w), `s
 Radiance is carried as basic radiance (divided by the index squared), so one set of formulas serves gathering and shooting:
 T and T* differ only in which of the two directions is given.
 
-Limits: roughness and index are constant over a material; a coat loses what bounces more than once between its microfacets.
+Limit: a coat loses what bounces more than once between its microfacets.
 """
 
 from __future__ import annotations
@@ -14,33 +14,33 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..scene.arrays import Color, Lobe, SceneArrays
-from ..scene.shading import ColorField
+from ..scene.arrays import Color, Lobe, SceneArrays, constant_of
+from ..scene.shading import ColorField, ScalarField
 from . import microfacet as mf
+from .coat import LARGEST, Coats
+from .curves import Grid, Mixture
 from .diffuse import cosine_directions, lambert
-from .lobe import DELTA_ALPHA, LobeKind, Seen
+from .lobe import LobeKind, Seen
 from .lobes import ALL_LOBES, DELTA_BELOW, KINDS, LOBES, PARTIAL, REFRACTING, present
 from .multiscatter import Gains
 
-__all__ = ["ALL_LOBES", "KINDS", "LOBES", "BsdfTable", "Lobes", "Scattered", "Slot", "evaluate", "frame", "sample", "weights"]
-
-MU = 32  # entries of the coat's albedo over the cosine
+__all__ = ["ALL_LOBES", "KINDS", "LOBES", "BsdfTable", "Lobes", "Scattered", "Slot", "evaluate", "frame", "sample", "weights", "white_lobe"]
 
 
 @dataclass(frozen=True, eq=False)
 class Slot:
-    """One non-diffuse lobe at n points: kind (n,) int8 (0 where there is none), color (n, 3), alpha (n,), ior (n,), and gain (n,)
-    int32, the row of `BsdfTable.gains` for light that bounces more than once between microfacets, 0 where it is lost."""
+    """One non-diffuse lobe at n points: kind (n,) int8 (0 where there is none), color (n, 3), alpha (n,), ior (n,), and gain, rows of
+    `BsdfTable.gains` for light that bounces more than once between microfacets, 0 where it is lost."""
 
     kind: np.ndarray
     color: np.ndarray
     alpha: np.ndarray
     ior: np.ndarray
-    gain: np.ndarray
+    gain: Mixture
 
     def take(self, which: np.ndarray) -> Slot:
         """The same at a subset of the points."""
-        return Slot(self.kind[which], self.color[which], self.alpha[which], self.ior[which], self.gain[which])
+        return Slot(self.kind[which], self.color[which], self.alpha[which], self.ior[which], self.gain.take(which))
 
     @property
     def delta(self) -> np.ndarray:
@@ -53,7 +53,7 @@ class Lobes:
     """The BSDF at n surface points seen from `wo` (n, 3): frame of the shading normal and lobe weights.
 
     entering (n,) bool: seen from outside, so that light which goes through enters the object.
-    material (n,) int32: row of the coat table, -1 for no coat.
+    coating: rows of the table of coats, 0 for no coat.
     """
 
     wo: np.ndarray  # world
@@ -64,14 +64,14 @@ class Lobes:
     diffuse: np.ndarray
     slots: tuple[Slot, ...]
     entering: np.ndarray
-    material: np.ndarray
+    coating: Mixture
     table: BsdfTable
 
     def take(self, which: np.ndarray) -> Lobes:
         """The same at a subset of the points."""
         slots = tuple(s.take(which) for s in self.slots)
         parts = (self.wo, self.local, self.x, self.y, self.z, self.diffuse)
-        return Lobes(*(a[which] for a in parts), slots, self.entering[which], self.material[which], self.table)
+        return Lobes(*(a[which] for a in parts), slots, self.entering[which], self.coating.take(which), self.table)
 
     def to_local(self, w: np.ndarray) -> np.ndarray:
         """World directions in the frame."""
@@ -92,7 +92,7 @@ class Lobes:
     def seen(self, i: int, rows: np.ndarray) -> Seen:
         """Slot `i` in some rows, all of one kind."""
         s = self.slots[i]
-        return Seen(self.local[rows], s.color[rows], s.alpha[rows], s.ior[rows], s.gain[rows], self.entering[rows])
+        return Seen(self.local[rows], s.color[rows], s.alpha[rows], s.ior[rows], s.gain.take(rows), self.entering[rows])
 
     def albedos(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Where lobes reflect only a part of their colour towards wo: slot, rows (m,), and the part (m,)."""
@@ -110,11 +110,12 @@ class Lobes:
     def white(self) -> Lobes:
         """White diffuse surfaces at the same points, without a coat."""
         slots = tuple(replace(s, kind=np.zeros_like(s.kind)) for s in self.slots)
-        return replace(self, diffuse=np.ones_like(self.diffuse), slots=slots, material=np.full_like(self.material, -1))
+        return replace(self, diffuse=np.ones_like(self.diffuse), slots=slots, coating=Mixture.of(0, len(self.wo)))
 
     def coat(self, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
         """(m,) albedo towards wo of what coats the points in some rows, 0 without a coat."""
-        return self.table.coat_at(self.material[rows], self.local[rows, 2])
+        here = self.coating if isinstance(rows, slice) else self.coating.take(rows)
+        return self.table.coat_at(here, self.local[rows, 2])
 
     def others(self) -> np.ndarray:
         """(n,) bool: whether there is any lobe but the diffuse one."""
@@ -146,56 +147,126 @@ class BsdfTable:
         mats = scene.materials
         others = [[x for x in m.lobes if x.kind in KINDS and not x.color.is_black] for m in mats]
         self.count = max((len(o) for o in others), default=0)
+        self.varies = np.array([any(x.varies for x in o) for o in others] or [False])
         self._diffuse = ColorField([m.total("diffuse") for m in mats], scene)
-        self._slots = []
-        self.gains = Gains()
-
-        for i in range(self.count):
-            lobes = [o[i] if i < len(o) else None for o in others]
-            kind = np.array([KINDS[x.kind] if x else 0 for x in lobes], np.int8)
-            rough = np.array([x.roughness if x else 1.0 for x in lobes], np.float32)
-            ior = np.array([x.ior if x else 1.0 for x in lobes], np.float32)
-            color = ColorField([x.color if x else Color() for x in lobes], scene)
-            self._slots.append((kind, rough**2, ior, np.array([self._gain(x) for x in lobes], np.int32), color))
-        self.coat, self.coat_mean = self._coats(others)
+        self.gains, self.coats = Gains(), Coats()
+        self.slots = tuple(SlotFields([o[i] if i < len(o) else None for o in others], scene, self) for i in range(self.count))
+        constant = [[] if varies else [coat_of(x) for x in o if is_coat(x)] for o, varies in zip(others, self.varies, strict=bool(mats))]
+        self._coat_row = np.array([self.coats.sum_of(c) if c else 0 for c in constant] or [0], np.int32)
 
     @property
     def only_diffuse(self) -> bool:
         """Whether no material has any other lobe."""
         return self.count == 0
 
-    def _gain(self, lobe: Lobe | None) -> int:
-        """Row of `gains` for a lobe."""
-        return 0 if lobe is None else LOBES[KINDS[lobe.kind]].gain_row(lobe, self.gains)
+    @property
+    def any_coat(self) -> bool:
+        """Whether any material has a coat."""
+        return len(self.coats.mean) > 1
 
-    def _coats(self, others: list) -> tuple[np.ndarray, np.ndarray]:
-        """Albedo of each material's dielectric coat over the cosine, (nm, MU), and its cosine-weighted mean (nm,)."""
-        table = np.zeros((max(len(others), 1), MU), np.float32)
-        mu = ((np.arange(MU) + 0.5) / MU).astype(np.float32)
-        for i, lobes in enumerate(others):
-            for lobe in lobes:
-                if LOBES[KINDS[lobe.kind]].is_coat:
-                    tint = float(np.mean(lobe.color.constant)) if lobe.color.is_constant else 1.0
-                    table[i] += tint * coat_albedo(mu, lobe.roughness, lobe.ior)
-        table = np.minimum(table, np.float32(0.999))
-        # A last row of zeros stands for no material: index -1 is a surface without a coat.
-        table = np.concatenate([table, np.zeros((1, MU), np.float32)])
-        return table, (table * (2 * mu / MU)).sum(axis=1)
+    def coating(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> Mixture:
+        """Rows of `coats` at barycentrics of triangles."""
+        material = self._material[triangle]
+        parts = [Mixture((self._coat_row[material],))]
+        for slot in self.slots:
+            if slot.coats:
+                shape = slot.roughness.at(material, triangle, u, v), slot.ior.at(material, triangle, u, v)
+                parts.append(slot.mixture(slot.coats, material, *shape))
+        if len(parts) == 1:
+            return parts[0]
+        rows, shares = [r for p in parts for r in p.rows], [np.ones(len(material), np.float32)] + [s for p in parts[1:] for s in p.shares]
+        return Mixture(tuple(rows), tuple(shares))
 
-    def coat_at(self, material: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-        """(n,) coat albedo at a cosine, linear between entries."""
-        i, f = mf.cosine_entry(cosine, MU)
-        return self.coat[material, i] * (1 - f) + self.coat[material, i + 1] * f
+    def coat_at(self, coating: Mixture, cosine: np.ndarray) -> np.ndarray:
+        """(n,) coat albedo at a cosine."""
+        found = self.coats.at(coating, False, cosine)
+        return np.minimum(found, LARGEST) if coating.shares else found
 
     def at(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, ns: np.ndarray, side: np.ndarray, wo: np.ndarray) -> Lobes:
         """Lobes at barycentrics of triangles with shading normals `ns` on the side of `wo`; `side` is +1 outside, -1 inside."""
         material = self._material[triangle]
-        slots = tuple(Slot(k[material], c.at(triangle, u, v), a[material], i[material], g[material]) for k, a, i, g, c in self._slots)
+        slots = tuple(slot.at(material, triangle, u, v) for slot in self.slots)
         x, y = frame(ns)
         local = np.stack([mf.dot(wo, x), mf.dot(wo, y), np.maximum(mf.dot(wo, ns), np.float32(1e-4))], axis=1)
         local /= np.sqrt(mf.dot(local, local))[:, None]
         diffuse = np.clip(self._diffuse.at(triangle, u, v), 0, 1)
-        return Lobes(wo, local, x, y, ns, diffuse, slots, side > 0, material, self)
+        return Lobes(wo, local, x, y, ns, diffuse, slots, side > 0, self.coating(triangle, u, v), self)
+
+
+_Grids = dict[int, tuple[Grid, float]]  # by material, and a factor on its shares
+
+
+class SlotFields:
+    """One slot of every material: constants in tables, and what varies as fields. Entries of materials without it are None."""
+
+    def __init__(self, lobes: list[Lobe | None], scene: SceneArrays, table: BsdfTable) -> None:
+        self.kind = np.array([KINDS[x.kind] if x else 0 for x in lobes], np.int8)
+        self.color = ColorField([x.color if x else Color() for x in lobes], scene)
+        self.roughness = ScalarField([x.roughness if x else 1.0 for x in lobes], scene, 0.0, 1.0)
+        self.ior = ScalarField([x.ior if x else 1.0 for x in lobes], scene, 1e-3, np.inf)
+        # Light that bounces again between microfacets: a row where roughness and index are one, else a grid.
+        self.many = np.array([x is not None and x.multiscatter and LOBES[KINDS[x.kind]].regains for x in lobes], bool)
+        self._table = table
+        self._gain = np.zeros(len(lobes), np.int32)
+        self._gains: _Grids = {}
+        self.coats: _Grids = {}
+        for m, lobe in enumerate(lobes):
+            if self.many[m] and not lobe.varies:
+                self._gain[m] = self.gain_row(m, constant_of(lobe.roughness), constant_of(lobe.ior))
+            elif self.many[m]:
+                passes = LOBES[self.kind[m]].passes
+                self._gains[m] = Grid(table.gains, self.roughness.range(m), self.ior.range(m) if passes else None), 1.0
+            if lobe is not None and is_coat(lobe) and table.varies[m]:
+                self.coats[m] = Grid(table.coats, self.roughness.range(m), self.ior.range(m)), coat_of(lobe)[0]
+
+    def gain_row(self, material: int, roughness: float, ior: float) -> int:
+        """Row of the scene's gains for a lobe of one roughness and index."""
+        return self._table.gains.row(roughness, ior if LOBES[self.kind[material]].passes else None) if self.many[material] else 0
+
+    def at(self, material: np.ndarray, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> Slot:
+        """The slot at barycentrics of triangles of `material` (n,)."""
+        roughness = self.roughness.at(material, triangle, u, v)
+        ior = self.ior.at(material, triangle, u, v)
+        gain = Mixture((self._gain[material],))
+        if self._gains:
+            gain = self.mixture(self._gains, material, roughness, ior, gain.rows[0])
+        return Slot(self.kind[material], self.color.at(triangle, u, v), roughness**2, ior, gain)
+
+    def mixture(
+        self, grids: _Grids, material: np.ndarray, roughness: np.ndarray, ior: np.ndarray, rest: np.ndarray | None = None
+    ) -> Mixture:
+        """Rows at points of the materials of `grids`, with their shares; elsewhere the row `rest` (n,), or none."""
+        n = len(material)
+        rows, shares = np.zeros((4, n), np.int32), np.zeros((4, n), np.float32)
+        if rest is not None:
+            rows[0], shares[0] = rest, 1
+        for m, (grid, share) in grids.items():
+            which = np.flatnonzero(material == m)
+            mix = grid.mixture(roughness[which], ior[which])
+            shares[:, which] = 0
+            for k, (row, part) in enumerate(zip(mix.rows, mix.shares, strict=True)):
+                rows[k, which], shares[k, which] = row, part * np.float32(share)
+        return Mixture(tuple(rows), tuple(shares))
+
+
+def is_coat(lobe: Lobe) -> bool:
+    """Whether it lies over the others of its material."""
+    return LOBES[KINDS[lobe.kind]].is_coat
+
+
+def coat_of(lobe: Lobe) -> tuple[float, float, float]:
+    """Tint, roughness and index of a coat; a textured tint counts as white."""
+    tint = float(np.mean(lobe.color.constant)) if lobe.color.is_constant else 1.0
+    return tint, constant_of(lobe.roughness), constant_of(lobe.ior)
+
+
+def white_lobe(number: int, alpha: float, ior: float, wo: np.ndarray, front: bool, table: BsdfTable) -> Lobes:
+    """One white lobe of a kind, of single scattering, seen from `wo` (n, 3) in the frame of the axes, from outside or from inside."""
+    n = len(wo)
+    axes = (np.broadcast_to(np.eye(3, dtype=np.float32)[i], (n, 3)) for i in range(3))
+    shape = (np.full(n, x, np.float32) for x in (alpha, ior))
+    slot = Slot(np.full(n, number, np.int8), np.ones((n, 3), np.float32), *shape, Mixture.of(0, n))
+    return Lobes(wo, wo, *axes, np.zeros((n, 3), np.float32), (slot,), np.full(n, front), Mixture.of(0, n), table)
 
 
 def frame(n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -208,27 +279,14 @@ def frame(n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return x, y
 
 
-def coat_albedo(mu: np.ndarray, roughness: float, ior: float) -> np.ndarray:
-    """(m,) albedo of a rough dielectric's reflection at cosines `mu` (m,), by quadrature over visible normals."""
-    grid = 32
-    a, b = np.meshgrid((np.arange(grid) + 0.5) / grid, (np.arange(grid) + 0.5) / grid)
-    m = np.repeat(mu, grid * grid)
-    alpha = np.full(len(m), max(roughness**2, float(DELTA_ALPHA)), np.float32)
-    wo = np.stack([np.sqrt(1 - m * m), np.zeros_like(m), m], axis=1)
-    h = mf.visible_normal(wo, alpha, np.tile(a.ravel(), len(mu)).astype(np.float32), np.tile(b.ravel(), len(mu)).astype(np.float32))
-    wi = mf.reflect(wo, h)
-    value = mf.masking(wo, wi, alpha) * (1 + mf.smith_lambda(wo, alpha)) * mf.fresnel(mf.dot(wo, h), np.full(len(m), ior, np.float32))
-    return np.where(wi[:, 2] > 0, value, 0).reshape(len(mu), -1).mean(axis=1)
-
-
 def _below_coat(lobes: Lobes, cosine: np.ndarray) -> np.ndarray | None:
     """(n,) what coats leave for lobes below, reciprocal in wo and wi (Ashikhmin et al. 2000); `cosine` (n,) of wi. None: no coats."""
     table = lobes.table
-    if not table.coat.any():
+    if not table.any_coat:
         return None
     out = 1 - lobes.coat()
-    back = 1 - table.coat_at(lobes.material, cosine)
-    return out * back / (1 - table.coat_mean[lobes.material])
+    back = 1 - table.coat_at(lobes.coating, cosine)
+    return out * back / (1 - table.coats.mean_at(lobes.coating))
 
 
 def weights(lobes: Lobes) -> np.ndarray:

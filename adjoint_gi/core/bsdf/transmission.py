@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene.arrays import Lobe
 from . import microfacet as mf
 from .lobe import DELTA_ALPHA, Drawn, LobeKind, Seen
-from .multiscatter import Gains
 from .reflection import facets, mirrored
 
 
@@ -77,7 +75,7 @@ class Glass(Refraction):
     """Facets that split light by Fresnel's equations."""
 
     name = "glass"
-    reflects = True
+    reflects = regains = True
 
     def _facet(self, cosine: np.ndarray, eta: np.ndarray) -> np.ndarray:
         return mf.fresnel(cosine, eta)
@@ -85,10 +83,6 @@ class Glass(Refraction):
     def reflected(self, seen: Seen, cosine: np.ndarray) -> np.ndarray:
         """By Fresnel's equations."""
         return seen.color * mf.fresnel(cosine, seen.eta)[:, None]
-
-    def gain_row(self, lobe: Lobe, gains: Gains) -> int:
-        """Light that bounces again between facets is given back where the lobe says so."""
-        return gains.row(lobe.roughness, lobe.ior) if lobe.multiscatter else 0
 
 
 class Transparent(LobeKind):

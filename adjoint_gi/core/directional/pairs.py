@@ -12,6 +12,7 @@ import numpy as np
 
 from ..bsdf import microfacet as mf
 from ..bsdf import table as bsdf
+from ..bsdf.curves import Mixture
 from ..bsdf.multiscatter import Gains
 
 PAIRS = 1 << 15
@@ -39,7 +40,7 @@ class Pairs:
         """(n,) what comes on top of single scattering, for white facets; `inside`: the given directions lie on the inside."""
         n = len(self.given)
         other = self.other * np.where(self.through, -1, 1)[:, None]
-        return gains.excess(np.full(n, row), np.full(n, inside), self.given, other)
+        return gains.excess(Mixture.of(row, n), np.full(n, inside), self.given, other)
 
 
 def given_directions(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -55,11 +56,7 @@ def pairs(kind: int, alpha: float, ior: float, front: bool, table: bsdf.BsdfTabl
     """The pairs of a white lobe (a kind of `bsdf.KINDS`) of single scattering, seen from the outside, or from the back."""
     given, u = given_directions(count)
     n = len(given)
-    axes = (np.broadcast_to(np.eye(3, dtype=np.float32)[i], (n, 3)) for i in range(3))
-    white = np.ones((n, 3), np.float32)
-    slot = bsdf.Slot(np.full(n, kind, np.int8), white, *(np.full(n, x, np.float32) for x in (alpha, ior)), np.zeros(n, np.int32))
-    black, no_coat = np.zeros((n, 3), np.float32), np.full(n, -1, np.int32)
-    lobes = bsdf.Lobes(given, given, *axes, black, (slot,), np.full(n, front), no_coat, table)
+    lobes = bsdf.white_lobe(kind, alpha, ior, given, front, table)
     uniform = np.concatenate([np.full((1, n), 0.5, np.float32), u])
     s = bsdf.sample(lobes, np.random.default_rng(0), uniform)
     other = s.wi.copy()

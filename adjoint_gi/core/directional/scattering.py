@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from ..bsdf import table as bsdf
+from ..bsdf.curves import Mixture, rounded
 from ..bsdf.lobes import KINDS, LOBES
 from ..elements.elements import COLOR_GRID, Elements
 from .pairs import PAIRS, Pairs, pairs
@@ -82,16 +83,13 @@ class Scattering:
     def prepare(self) -> Iterator[float]:
         """Find the colours of the elements and the matrices of every material; yields the share done."""
         elements, table, basis = self.elements, self.table, self.basis
-        material = np.asarray(elements.world.scene.material)
-        own = material[elements.patch_triangle[elements.patch]] if elements.count else np.zeros(0, np.int64)
-        colors, kinds = _mean_colors(elements, table)
+        colors, groups = _mean_surfaces(elements, table)
         cache: dict[tuple, list[tuple[np.ndarray, np.ndarray | None]]] = {}
         flat = basis.constant()
-        used = np.unique(own)
-        for done, index in enumerate(used, 1):
-            which = np.flatnonzero(own == index)
+        for done, group in enumerate(groups, 1):
+            which = group.elements
             parts: list[Part] = []
-            for slot, (kind, alpha, ior, gain) in enumerate(kinds[index]):
+            for slot, (kind, alpha, ior, gain) in enumerate(group.kinds):
                 color = colors[1 + slot][which]
                 tints = LOBES[kind].tints(color)
                 if not kind or not any(tint.any() for tint in tints):
@@ -100,19 +98,19 @@ class Scattering:
                 key = (kind, alpha, ior, gain)
                 if key not in cache:
                     cache[key] = _kernels(basis, *key, table, self.pairs)
-                    yield (done - 0.5) / len(used)
+                    yield (done - 0.5) / len(groups)
                 if gain:
-                    kept = table.gains.kept(np.full(len(color), gain), LOBES[kind].mean(color))
+                    kept = table.gains.kept(Mixture.of(gain, len(color)), LOBES[kind].mean(color))
                     tints += [tint * kept for tint in tints]
                 parts += [Part(tint, *kernel) for tint, kernel in zip(tints, cache[key], strict=True)]
             left = right = flat
-            if table.coat[index].any():
+            if group.coating.any():
 
-                def curve(cosine: np.ndarray, index: int = int(index)) -> np.ndarray:
-                    return 1 - table.coat_at(np.full(len(cosine), index), cosine.astype(np.float32))
+                def curve(cosine: np.ndarray, coating: Mixture = group.coating) -> np.ndarray:
+                    return 1 - table.coat_at(coating.take(np.zeros(len(cosine), int)), cosine.astype(np.float32))
 
                 left = basis.dimming(curve)
-                right = left / (1 - float(table.coat_mean[index]))
+                right = left / (1 - float(table.coats.mean_at(group.coating)[0]))
             self.shiny[which] = bool(parts) or left is not flat
             self.materials.append(MaterialScattering(which, colors[0][which], left, right * basis.unit, tuple(parts)))
         yield 1.0
@@ -185,12 +183,25 @@ def _kernels(basis: Basis, kind: int, alpha: float, ior: float, gain: int, table
     return [basis.kernels((front.times(a), back.times(b)), measure) for a, b in shares]
 
 
-def _mean_colors(elements: Elements, table: bsdf.BsdfTable) -> tuple[list[np.ndarray], list[list[tuple[int, float, float, int]]]]:
-    """Mean colour (ne, 3) float64 of the diffuse base and of every slot, and (kind, alpha, ior, gain) of the slots of every material."""
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Elements (m,) of one material and of one shape of its lobes: (kind, alpha, ior, row of gains) of every slot, and its coat's rows."""
+
+    elements: np.ndarray
+    kinds: list[tuple[int, float, float, int]]
+    coating: Mixture
+
+
+def _mean_surfaces(elements: Elements, table: bsdf.BsdfTable) -> tuple[list[np.ndarray], list[_Group]]:
+    """Mean colour (ne, 3) float64 of the diffuse base and of every slot, and the elements in groups that scatter alike.
+
+    Where roughness or index vary over a material, an element has the mean of its points, rounded to the grid of `curves`.
+    """
     scene = elements.world.scene
-    steps = (np.arange(COLOR_GRID) + 0.5) / COLOR_GRID if any(not x.color.is_constant for m in scene.materials for x in m.lobes) else [0.25]
+    even = all(x.color.is_constant and not x.varies for m in scene.materials for x in m.lobes)
+    steps = [0.25] if even else (np.arange(COLOR_GRID) + 0.5) / COLOR_GRID
     colors = [np.zeros((elements.count, 3)) for _ in range(1 + table.count)]
-    kinds: list[list[tuple[int, float, float, int]]] = [[] for _ in scene.materials]
+    shapes = np.zeros((elements.count, table.count, 2))
     index = np.arange(elements.count)
     for a in steps:
         for b in steps:
@@ -198,7 +209,30 @@ def _mean_colors(elements: Elements, table: bsdf.BsdfTable) -> tuple[list[np.nda
             lobes = table.at(surface.triangle, surface.u, surface.v, surface.ng, surface.side, surface.ng)
             for total, color in zip(colors, (lobes.diffuse, *(s.color for s in lobes.slots)), strict=True):
                 total += color / len(steps) ** 2
-    for material in np.unique(lobes.material):
-        at = int(np.flatnonzero(lobes.material == material)[0])
-        kinds[material] = [(int(s.kind[at]), float(s.alpha[at]), float(s.ior[at]), int(s.gain[at])) for s in lobes.slots]
-    return colors, kinds
+            for k, slot in enumerate(lobes.slots):
+                shapes[:, k] += np.stack([np.sqrt(slot.alpha), slot.ior], axis=1) / len(steps) ** 2
+    own = np.asarray(scene.material)[surface.triangle]
+    groups = []
+    for material in np.unique(own):
+        which = np.flatnonzero(own == material)
+        if table.varies[material]:
+            groups += _shaped(which, int(material), shapes[which], lobes, table)
+        else:
+            e = which[0]
+            kinds = [(int(s.kind[e]), float(s.alpha[e]), float(s.ior[e]), int(s.gain.rows[0][e])) for s in lobes.slots]
+            groups.append(_Group(which, kinds, lobes.coating.take(which[:1])))
+    return colors, groups
+
+
+def _shaped(which: np.ndarray, material: int, shapes: np.ndarray, lobes: bsdf.Lobes, table: bsdf.BsdfTable) -> list[_Group]:
+    """The elements `which` (m,) of a material in groups of one rounded shape; shapes (m, slots, 2): roughness and index."""
+    near = np.stack(rounded(shapes[..., 0], shapes[..., 1]), axis=-1)
+    found, group = np.unique(near.reshape(len(which), -1), axis=0, return_inverse=True)
+    out = []
+    for g, shape in enumerate(found.reshape(len(found), -1, 2)):
+        at = which[np.flatnonzero(group.ravel() == g)]
+        kinds = []
+        for slot, fields, (roughness, ior) in zip(lobes.slots, table.slots, shape, strict=True):
+            kinds.append((int(slot.kind[at[0]]), float(roughness**2), float(ior), fields.gain_row(material, float(roughness), float(ior))))
+        out.append(_Group(at, kinds, lobes.coating.take(at[:1])))
+    return out

@@ -96,20 +96,34 @@ class Color:
         return Color.of(1.0) + self * -1.0
 
 
+Scalar = float | Color  # a number that is the same everywhere, or a colour over the surface of which the first channel counts
+
+
+def constant_of(x: Scalar) -> float:
+    """The number; of one that varies, its constant part."""
+    return x.constant[0] if isinstance(x, Color) else x
+
+
 @dataclass(frozen=True)
 class Lobe:
     """One term of a BSDF (or an emission) with its weight.
 
     kinds: diffuse, emission; metallic, specular (a dielectric coat over the rest), glossy, glass, refraction, transparent, and
     dielectric, which is what glass reflects without what it passes.
+    roughness (0 to 1) and ior may vary over the surface.
     multiscatter: light that bounces more than once between microfacets is kept (metallic, glossy and glass).
     """
 
     kind: str
     color: Color
-    roughness: float = 1.0
-    ior: float = 1.45
+    roughness: Scalar = 1.0
+    ior: Scalar = 1.45
     multiscatter: bool = False
+
+    @property
+    def varies(self) -> bool:
+        """Whether its shape, roughness or index, is not the same everywhere."""
+        return any(isinstance(x, Color) and not x.is_constant for x in (self.roughness, self.ior))
 
 
 @dataclass(frozen=True)

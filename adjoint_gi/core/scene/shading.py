@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..base.errors import Notice
-from .arrays import Color, Material, SceneArrays, Source, Texture
+from .arrays import Color, Material, Scalar, SceneArrays, Source, Texture, constant_of
 
 # How a method that knows only diffuse surfaces takes the other lobes; reflections of a coat or of clear glass are left out.
 AS_DIFFUSE = ("diffuse", "metallic", "glossy", "glass", "refraction", "transparent")
@@ -83,6 +83,55 @@ class ColorField:
             if len(which):
                 values[which] = evaluate(self.colors[index], self.scene, triangle[which], u[which], v[which])
         return values
+
+
+class ScalarField:
+    """One number for each material, with the constant ones in a table, clipped to `low`..`high`."""
+
+    def __init__(self, values: list[Scalar], scene: SceneArrays, low: float, high: float) -> None:
+        self.values = values
+        self.scene = scene
+        self.low, self.high = low, high
+        self.varying = [i for i, x in enumerate(values) if isinstance(x, Color) and not x.is_constant]
+        constants = [constant_of(x) for x in values]
+        self.table = np.clip(np.array(constants, np.float32), np.float32(low), np.float32(high))
+
+    def at(self, material: np.ndarray, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n,) float32 values at barycentrics of triangles of `material` (n,)."""
+        out = self.table[material]
+        for index in self.varying:
+            which = np.flatnonzero(material == index)
+            if len(which):
+                value = evaluate(self.values[index], self.scene, triangle[which], u[which], v[which])[:, 0]
+                out[which] = np.clip(value, self.low, self.high)
+        return out
+
+    def range(self, index: int) -> tuple[float, float]:
+        """The least and the largest value that a material may have."""
+        if index not in self.varying:
+            return float(self.table[index]), float(self.table[index])
+        total = np.zeros(2)
+        for term in self.values[index].terms:
+            ends = np.full(2, term.constant[0])
+            for source in term.sources:
+                products = np.outer(ends, source_range(source, self.scene))
+                ends = np.array([products.min(), products.max()])
+            total += ends
+        low, high = np.clip(total, self.low, self.high)
+        return float(low), float(high)
+
+
+def source_range(source: Source, scene: SceneArrays) -> tuple[float, float]:
+    """The least and the largest value of the first channel of an image or attribute, where objects have it."""
+    clipped = False
+    if source.kind == "image":
+        texture = scene.textures[source.texture]
+        arrays, clipped = [texture.pixels], texture.extension == "CLIP"
+    else:
+        arrays = [obj.colors[source.name] for obj in scene.objects if source.name in obj.colors]
+    values = [a[..., 3 if source.alpha else 0] for a in arrays if a.size]
+    ends = [0.0] if clipped or not values else []
+    return min([*ends, *(float(x.min()) for x in values)]), max([*ends, *(float(x.max()) for x in values)])
 
 
 def evaluate(color: Color, scene: SceneArrays, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:

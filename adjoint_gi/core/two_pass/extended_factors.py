@@ -75,7 +75,7 @@ class ExtendedTransport(Transport):
         empty = (np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
         self.source, self.target, self.weight, self.share = (np.concatenate([e, *(p[i] for p in flat)]) for i, e in enumerate(empty))
         self.weight /= np.float32(self.per_side)
-        self.below = self.weight * self.share[:, None] if self.chains.table.coat.any() else self.weight
+        self.below = self.weight * self.share[:, None] if self.chains.table.any_coat else self.weight
 
     def gather(self, x: np.ndarray) -> np.ndarray:
         """F_ext x for light x (n, 3) that surfaces reflect diffusely."""

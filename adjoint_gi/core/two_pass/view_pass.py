@@ -111,7 +111,7 @@ class View:
 def below_coat(lobes: bsdf.Lobes, at: np.ndarray) -> np.ndarray:
     """(m, 3) radiance towards wo for irradiance 1 on the diffuse lobes in rows `at` (m,), below whatever coat they have."""
     part = lobes.diffuse[at] / mf.PI
-    if not lobes.table.coat.any():
+    if not lobes.table.any_coat:
         return part
     return part * (1 - lobes.coat(at))[:, None]
 

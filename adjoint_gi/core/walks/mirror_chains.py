@@ -63,10 +63,10 @@ class Chains:
     def share(self, surface: Surface, wo: np.ndarray) -> np.ndarray:
         """(n,) float32 what coats leave for the diffuse lobe of light that leaves towards, or comes from, `wo` (n, 3)."""
         out = np.ones(len(wo), np.float32)
-        if not self.table.coat.any():
+        if not self.table.any_coat:
             return out
-        material = np.asarray(self.world.scene.material)[surface.triangle]
-        return out - self.table.coat_at(material, np.einsum("ij,ij->i", surface.ns, wo))
+        coating = self.table.coating(surface.triangle, surface.u, surface.v)
+        return out - self.table.coat_at(coating, np.einsum("ij,ij->i", surface.ns, wo))
 
     def follow(self, origin: np.ndarray, wi: np.ndarray, rng: np.random.Generator, dark: np.ndarray | None = None) -> Iterator[Met]:
         """Follow rays (n, 3) float32 of weight 1 and yield what they meet, segment by segment.
