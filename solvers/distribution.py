@@ -50,6 +50,7 @@ class DistributionSettings(base.Settings):
         min=1,
         max=1 << 20,
         soft_max=1024,
+        effort=True,
     )
     light_samples: int = setting(
         4, label="Light Samples", help="Rays towards the lights from each surface that splits", min=1, max=4096, soft_max=64

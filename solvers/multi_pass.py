@@ -87,7 +87,7 @@ class MultiPassSettings(RadiositySettings):
         soft_max=10_000_000,
     )
     samples: int = setting(
-        64, label="Samples", help="Second-pass samples of each texel, vertex or pixel", min=1, max=1 << 24, soft_max=4096
+        64, label="Samples", help="Second-pass samples of each texel, vertex or pixel", min=1, max=1 << 24, soft_max=4096, effort=True
     )
     hops: int = setting(
         1,

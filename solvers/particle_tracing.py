@@ -57,6 +57,7 @@ class ParticleSettings(base.Settings):
         min=1,
         max=2_000_000_000,
         soft_max=100_000_000,
+        effort=True,
     )
     max_edge: float = setting(
         0.0,

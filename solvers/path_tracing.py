@@ -53,6 +53,7 @@ class PathSettings(base.Settings):
         min=1,
         max=1 << 24,
         soft_max=4096,
+        effort=True,
     )
     roulette: bool = setting(True, label="Russian Roulette", help="End paths at random once they carry little; the result stays unbiased")
     roulette_length: int = setting(

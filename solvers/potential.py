@@ -124,6 +124,7 @@ class PotentialSettings(base.Settings):
         min=1,
         max=1 << 24,
         soft_max=4096,
+        effort=True,
     )
     memory_limit: int = setting(
         2048, label="Memory Limit (MB)", help="The method does not start when its matrix could need more than this", min=1, max=1 << 20

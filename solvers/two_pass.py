@@ -77,7 +77,9 @@ class TwoPassSettings(RadiositySettings):
     max_iterations: int = setting(
         500, label="Max Iterations", help="The first pass gives up, and says so, after this many", min=1, max=100_000
     )
-    samples: int = setting(32, label="Samples", help="View-pass samples of each texel, vertex or pixel", min=1, max=1 << 24, soft_max=1024)
+    samples: int = setting(
+        32, label="Samples", help="View-pass samples of each texel, vertex or pixel", min=1, max=1 << 24, soft_max=1024, effort=True
+    )
     gather: bool = setting(
         False,
         label="Gather Diffuse Light",

@@ -82,3 +82,15 @@ def test_every_setting_of_every_method_can_be_given_as_text_and_is_bounded(solve
             assert f.metadata["min"] is not None and f.metadata["max"] is not None, f.name
             with pytest.raises(SettingsError, match=f.name):
                 defaults.replaced({f.name: str(f.metadata["max"] * 2 + 1)})
+
+
+def test_a_budget_may_scale_one_number_of_samples_of_each_random_method():
+    names = {m.spec.id: [f.name for f in dataclasses.fields(m.Settings) if f.metadata["effort"]] for m in registry.methods()}
+    assert {id: found for id, found in names.items() if found} == {
+        "two_pass": ["samples"],
+        "distribution": ["samples"],
+        "path_tracing": ["samples"],
+        "particle_tracing": ["particles"],
+        "multi_pass": ["samples"],
+        "potential": ["samples"],
+    }

@@ -19,11 +19,13 @@ def setting(
     soft_max: float | None = None,
     choices: tuple[tuple[str, str, str], ...] = (),
     unit: str = "",
+    effort: bool = False,
 ) -> Any:
     """A dataclass field with the words and bounds that every user interface of it needs.
 
     `choices` holds (identifier, label, description) and makes a `str` field an enumeration.
     `unit` is a Blender property subtype in lower case ("distance", "factor") or empty.
+    `effort` marks the number of random samples that a budget of time or rays may raise; at most one field of a method has it.
     """
     meta = {
         "label": label,
@@ -33,6 +35,7 @@ def setting(
         "soft_max": soft_max,
         "choices": choices,
         "unit": unit,
+        "effort": effort,
     }
     return field(default=default, metadata=meta)
 
