@@ -14,35 +14,29 @@ Proceedings), 20(4), 1986, 133-142.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..adjoint_gi.core.base.errors import MemoryRefused, Notice
-from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.base.resources import require_within
+from ..adjoint_gi.core.base.settings import NO_LIMIT, setting
 from ..adjoint_gi.core.bsdf import table as bsdf
 from ..adjoint_gi.core.bsdf.curves import SHAPES
 from ..adjoint_gi.core.bsdf.lobes import LOBES
-from ..adjoint_gi.core.directional.answer import DirectionalAnswer, Light
 from ..adjoint_gi.core.directional.bins import Bins
-from ..adjoint_gi.core.directional.rays import ArrivingLight, DirectionalRays, Sink
-from ..adjoint_gi.core.directional.scattering import Scattering
+from ..adjoint_gi.core.directional.run import DirectionalRun, leaving
 from ..adjoint_gi.core.directional.transport import DirectionalTransport, bytes_needed, pairs_needed
-from ..adjoint_gi.core.elements.answer import element_count, elements_for
-from ..adjoint_gi.core.lights.emitters import Emitters
+from ..adjoint_gi.core.elements.answer import element_count
 from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
-from ..adjoint_gi.core.method.solution import EnergyBalance, Solution, Step
-from ..adjoint_gi.core.radiosity.schemes import NO_LIMIT
-from ..adjoint_gi.core.radiosity.shared import RadiositySettings, dark_notices
+from ..adjoint_gi.core.method.solution import EnergyBalance, Step
+from ..adjoint_gi.core.radiosity.element_run import Found
+from ..adjoint_gi.core.radiosity.settings import RadiositySettings
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.arrays import Color
 from ..adjoint_gi.core.scene.world import World
 
 TARGET = 1000  # elements where max_edge is chosen
-STAGES = (0.2, 0.3, 0.6)  # shares at which receivers, lamps and rays are done; the rest is the system
-PAUSE = 0.1
 
 
 @dataclass(frozen=True)
@@ -124,151 +118,87 @@ class DirectionalRadiosity(Solver):
 
     def solve(self, world: World, receivers: Receivers, settings: DirectionalSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield through all stages. Raises MemoryRefused before anything is made."""
-        needed = self.memory(world, receivers, settings)
-        if needed > settings.memory_limit << 20:
-            reason = f"needs {needed / 2**20:,.0f} MB, over its limit of {settings.memory_limit:,} MB"
-            raise MemoryRefused(self.spec.label, reason, "Lower bin_rows, bin_columns or rays, or raise max_edge or memory_limit")
-        yield from _Run(self.spec, world, receivers, settings).steps()
+        remedy = "Lower bin_rows, bin_columns or rays, or raise max_edge or memory_limit"
+        require_within(self.spec.label, self.memory(world, receivers, settings), settings.memory_limit, remedy, verb="needs")
+        run = BinRun(self, world, receivers, settings)
+
+        # 1. S(i, d, d'); where the receivers lie on the elements, and direct light at them.
+        for _ in run.scattering.prepare():
+            yield from run.pause(0.0, "Scattering between direction bins")
+        yield from run.stage(run.answer.prepare(), 0.0, 0.2, "Receivers and direct light", run.pause)
+
+        # 2. I0(i, d): light of lamps, by bins.
+        arriving = run.field()
+        yield from run.stage(run.lamps.run(run.into(arriving)), 0.2, 0.3, "Light of lamps on elements", run.pause)
+
+        # 3. V(i, d', j, e): the rays of all pairs; those that escape bring the background.
+        yield from run.stage(run.transport.cast(), 0.3, 0.6, f"Rays of {len(arriving):,} element sides", run.pause)
+        if run.emitters.any_background:
+            sky = run.emitters.escaping(run.transport.middles()).reshape(arriving.shape)
+            arriving += run.transport.sky()[..., None] * sky
+        run.check_lit(arriving)
+
+        # 4. The system L = E + S (V L + I0).
+        bounded = settings.max_length < NO_LIMIT or settings.min_length > 2
+        by_length = bounded or (settings.strategy == "gathering" and settings.solver == "jacobi")
+        yield from (run.by_length if by_length else run.relax)(leaving(run.elements, run.basis), arriving)
+        run.check_converged(run.residual, "Raise max_iterations or the tolerance, or lower albedos that are close to 1")
+        yield from run.finish(f"Solved in {len(run.history)} iterations")
 
 
-class _Run:
-    """The state of one solve."""
+class BinRun(DirectionalRun):
+    """One solve in bins. first, rest: what has arrived (2 ne, bins, 3), of one segment and of more; `residual` of the system."""
 
-    def __init__(self, spec: MethodSpec, world: World, receivers: Receivers, settings: DirectionalSettings) -> None:
-        self.spec, self.world, self.receivers, self.settings = spec, world, receivers, settings
-        self.started = self.last = time.monotonic()
-        self.elements = elements_for(world, receivers, settings.max_edge, TARGET)
-        self.emitters = Emitters(world)
-        self.caster = DirectionalRays(self.elements)
-        self.bins = Bins(settings.bin_rows, settings.bin_columns)
-        self.scattering = Scattering(self.elements, bsdf.BsdfTable(world.scene), self.bins, pairs_needed(self.bins.size))
-        self.transport = DirectionalTransport(self.caster, self.bins, self.scattering, settings.rays)
-        self.answer = DirectionalAnswer(self.caster, receivers, self.emitters, settings, self.scattering)
-        self.lamps = ArrivingLight(self.caster, self.emitters, settings.light_samples, background=False)
-        shape = (2 * self.elements.count, self.bins.size, 3)
-        self.first, self.rest = np.zeros(shape), np.zeros(shape)  # what arrives of length 1, and of more
+    def __init__(self, solver: Solver, world: World, receivers: Receivers, settings: DirectionalSettings) -> None:
+        bins = Bins(settings.bin_rows, settings.bin_columns)
+        super().__init__(solver, world, receivers, settings, bins, False, pairs_needed(bins.size))
+        self.transport = DirectionalTransport(self.caster, bins, self.scattering, settings.rays)
+        self.first, self.rest = self.field(), self.field()
         self.balance: EnergyBalance | None = None
-        self.history: list[tuple[float, float]] = []
-        self.warnings = world.scene.warnings + world.shading.substitutions(spec.lobes)
+        self.residual = 1.0
+        self.find = self._find
 
-    def steps(self) -> Iterator[Step]:
-        receivers_end, lamps_end, rays_end = STAGES
-        # 1. Scattering matrices; where the receivers lie on the elements, and direct light at them.
-        for _ in self.scattering.prepare():
-            yield from self._pause(0.0, "Scattering between direction bins")
-        for share in self.answer.prepare():
-            yield from self._pause(receivers_end * share, "Receivers and direct light")
-        # 2. Light of lamps, by bins.
-        arriving = np.zeros_like(self.first)
-        for share in self.lamps.run(self._into(arriving)):
-            yield from self._pause(receivers_end + (lamps_end - receivers_end) * share, "Light of lamps on elements")
-        # 3. The rays of all pairs; those that escape bring the background.
-        for share in self.transport.cast():
-            yield from self._pause(lamps_end + (rays_end - lamps_end) * share, f"Rays of {len(self.first):,} element sides")
-        if self.emitters.any_background:
-            sky = self.emitters.escaping(self.transport.middles()).reshape(arriving.shape)
-            arriving += self.transport.sky()[..., None] * sky
-        leaving = np.repeat(self.elements.emitted / np.pi, 2, axis=0)[:, None] * np.ones((1, self.bins.size, 1))
-        self.warnings += dark_notices(self.elements, arriving)
-        # 4. The system.
-        yield from self._relax(leaving, arriving, rays_end)
-        yield Step(1.0, f"Solved in {len(self.history)} iterations", self._maker(False))
+    def by_length(self, emitted: np.ndarray, arriving: np.ndarray) -> Iterator[Step]:
+        """Jacobi: one path length after another, of which those that count are kept."""
+        s, length = self.settings, 0
+        for found, term in self.transport.neumann(emitted, arriving, s.max_length, s.tolerance, s.max_iterations):
+            if term is not None:
+                length, self.residual = length + 1, found
+                if s.min_length <= length:
+                    (self.first if length == 1 else self.rest)[:] += term
+                self.note(found)
+            yield from self.pause(self.relaxed(self.residual, 0.6), f"Path length {length}, residual {self.residual:.1e}")
+        if length >= s.max_length:
+            self.residual = 0.0  # no longer path counts
+        if s.min_length <= 1 and s.max_length >= NO_LIMIT:
+            self.balance = self._energy(emitted, arriving, self.first + self.rest)
 
-    def _into(self, arriving: np.ndarray) -> Sink:
-        def sink(side: np.ndarray, w: np.ndarray, value: np.ndarray) -> None:
-            flat = arriving.reshape(-1, 3)
-            pair = side * self.bins.size + self.bins.of(w)
-            first = int(pair.min(initial=0))
-            for c in range(3):
-                sums = np.bincount(pair - first, value[:, c] / self.bins.solid)
-                flat[first : first + len(sums), c] += sums
-
-        return sink
-
-    def _relax(self, leaving: np.ndarray, arriving: np.ndarray, done: float) -> Iterator[Step]:
+    def relax(self, emitted: np.ndarray, arriving: np.ndarray) -> Iterator[Step]:
+        """Gauss-Seidel gathers rows, Southwell shoots columns; all path lengths at once."""
         s, t = self.settings, self.transport
-        low, high = s.min_length, s.max_length
-        bounded = high < NO_LIMIT or low > 2
-        residual = 1.0
-        if bounded or (s.strategy == "gathering" and s.solver == "jacobi"):
-            length = 0
-            for found, term in t.neumann(leaving, arriving, high, s.tolerance, s.max_iterations):
-                if term is not None:
-                    length, residual = length + 1, found
-                    if low <= length:
-                        (self.first if length == 1 else self.rest)[:] += term
-                    self._note(residual)
-                yield from self._pause(self._progress(done, residual), f"Path length {length}, residual {residual:.1e}")
-            solved = residual <= s.tolerance or length >= high
-            if low <= 1 and high >= NO_LIMIT:
-                self.balance = self._energy(leaving, arriving, self.first + self.rest)
-        else:
-            direct = t.gather(leaving) + arriving
-            whole = np.zeros_like(direct)
-            scheme = t.southwell if s.strategy == "shooting" else t.gauss_seidel
-            self.first += direct if low <= 1 else 0.0
-            for found in scheme(whole, leaving, arriving, s.tolerance, s.max_iterations):
-                if found is not None:
-                    residual = found
-                    np.maximum(whole - direct, 0.0, out=self.rest)
-                    self._note(residual)
-                yield from self._pause(self._progress(done, residual), f"Iteration {len(self.history)}, residual {residual:.1e}")
-            np.maximum(whole - direct, 0, out=self.rest)
-            solved = residual <= s.tolerance
-            self.balance = self._energy(leaving, arriving, whole)
-        if not solved:
-            reason = f"stopped after {s.max_iterations} iterations at a relative change of {residual:.1e}"
-            self.warnings += (
-                Notice(self.spec.label, reason, "Raise max_iterations or the tolerance, or lower albedos that are close to 1"),
-            )
+        direct = t.gather(emitted) + arriving
+        whole = np.zeros_like(direct)
+        self.first += direct if s.min_length <= 1 else 0.0
+        scheme = t.southwell if s.strategy == "shooting" else t.gauss_seidel
+        for found in scheme(whole, emitted, arriving, s.tolerance, s.max_iterations):
+            if found is not None:
+                self.residual = found
+                np.maximum(whole - direct, 0.0, out=self.rest)
+                self.note(found)
+            yield from self.pause(self.relaxed(self.residual, 0.6), f"Iteration {len(self.history)}, residual {self.residual:.1e}")
+        np.maximum(whole - direct, 0, out=self.rest)
+        self.balance = self._energy(emitted, arriving, whole)
 
-    def _progress(self, done: float, residual: float) -> float:
-        share = np.log(max(residual, 1e-300)) / np.log(max(self.settings.tolerance, 1e-16)) if self.settings.tolerance < 1 else 1.0
-        return done + (1 - done) * float(np.clip(share, 0, 0.99))
+    def _find(self, partial: bool) -> Found:
+        return self.found((self.first, self.rest), len(self.transport.met), None if partial else self.balance)
 
-    def _note(self, residual: float) -> None:
-        self.history.append((time.monotonic() - self.started, residual))
-
-    def _energy(self, leaving: np.ndarray, arriving: np.ndarray, whole: np.ndarray) -> EnergyBalance | None:
+    def _energy(self, emitted: np.ndarray, arriving: np.ndarray, whole: np.ndarray) -> EnergyBalance | None:
         """Flux. Rays of both ends of a path are not the same, so the gap is their error. None where basic radiance is not radiance."""
         if self.scattering.clear:
             return None
-        area = self.bins.solid * self.transport.area[:, None, None]
+        area = self.basis.solid * self.transport.area[:, None, None]
         reflected = self.scattering.apply(whole)
-        gathered = self.transport.gather(leaving + reflected) + arriving
-        escaped = area * self.transport.sky()[..., None] * (leaving + reflected)
-        emitted, unshot = float((area * (leaving + arriving)).sum()), float((area * (gathered - whole)).sum())
-        return EnergyBalance(emitted, float((area * (gathered - reflected)).sum()) - unshot, float(escaped.sum()), unshot)
-
-    def _pause(self, fraction: float, text: str) -> Iterator[Step]:
-        if time.monotonic() - self.last >= PAUSE:
-            yield Step(fraction, text, self._maker(True))
-            self.last = time.monotonic()
-
-    def _maker(self, partial: bool) -> Callable[[], Solution]:
-        seconds, history, warnings = time.monotonic() - self.started, tuple(self.history), self.warnings
-
-        def make() -> Solution:
-            parts = self.answer.parts(self._light(self.first), self._light(self.rest))
-            rays = parts.rays + self.lamps.rays + len(self.transport.met)
-            return Solution(
-                self.spec.id,
-                self.receivers.measure,
-                **parts.arrays(),
-                rays=rays,
-                seconds=seconds,
-                balance=None if partial else self.balance,
-                history=history,
-                warnings=warnings,
-                settings=self.settings.as_dict(),
-                partial=partial,
-            )
-
-        return make
-
-    def _light(self, arriving: np.ndarray) -> Light:
-        s = self.scattering
-        shine = s.apply(arriving, diffuse=False)
-        irradiance, base = np.pi * arriving.mean(axis=1), s.below_coat(arriving)
-        exitance = np.pi * s.apply(arriving).mean(axis=1)
-        return Light(irradiance, base, shine, exitance)
+        gathered = self.transport.gather(emitted + reflected) + arriving
+        escaped = area * self.transport.sky()[..., None] * (emitted + reflected)
+        total, unshot = float((area * (emitted + arriving)).sum()), float((area * (gathered - whole)).sum())
+        return EnergyBalance(total, float((area * (gathered - reflected)).sum()) - unshot, float(escaped.sum()), unshot)

@@ -13,30 +13,25 @@ Computer Graphics (SIGGRAPH '84 Proceedings), 18(3), 1984, 213-222.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core.base.errors import MemoryRefused, Notice
+from ..adjoint_gi.core.base.resources import require_within
 from ..adjoint_gi.core.base.settings import setting
-from ..adjoint_gi.core.elements.answer import ElementAnswer, element_count, elements_for
-from ..adjoint_gi.core.elements.elements import Elements
-from ..adjoint_gi.core.lights.emitters import Emitters
+from ..adjoint_gi.core.elements.answer import element_count
 from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
-from ..adjoint_gi.core.method.solution import EnergyBalance, Solution, Step
+from ..adjoint_gi.core.method.solution import Step
+from ..adjoint_gi.core.radiosity.element_run import Found, RadiosityRun
 from ..adjoint_gi.core.radiosity.factor_matrix import FactorMatrix, bytes_needed
-from ..adjoint_gi.core.radiosity.schemes import gauss_seidel, jacobi, lengths, trapped
-from ..adjoint_gi.core.radiosity.shared import LampLight, RadiositySettings, dark_notices, receiver_light
-from ..adjoint_gi.core.radiosity.transports import MatrixTransport
-from ..adjoint_gi.core.radiosity.trapped import refuse
+from ..adjoint_gi.core.radiosity.relaxation import System, gauss_seidel, jacobi
+from ..adjoint_gi.core.radiosity.settings import RadiositySettings
+from ..adjoint_gi.core.radiosity.trapped import refuse_trapped
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import World
 
 TARGET = 2000  # elements where max_edge is chosen
-# Shares of the whole at which the stages end: receivers, lamps, rows of rays, factors; the rest is the system.
-STAGES = (0.1, 0.2, 0.5, 0.9)
 
 
 @dataclass(frozen=True)
@@ -108,126 +103,50 @@ class MatrixRadiosity(Solver):
 
     def solve(self, world: World, receivers: Receivers, settings: MatrixSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield through all stages; partial results hold the direct light until the system is being relaxed."""
-        needed = self.memory(world, receivers, settings)
-        if needed > settings.memory_limit << 20:
-            reason = f"could need {needed / 2**20:,.0f} MB, over its limit of {settings.memory_limit:,} MB"
-            raise MemoryRefused(self.spec.label, reason, "Raise max_edge or memory_limit, or choose Progressive Radiosity")
-        started = time.monotonic()
-        elements = elements_for(world, receivers, settings.max_edge, TARGET)
-        run = _Run(self, world, receivers, settings, elements, started)
-        yield from run.steps()
+        s = settings
+        remedy = "Raise max_edge or memory_limit, or choose Progressive Radiosity"
+        require_within(self.spec.label, self.memory(world, receivers, s), s.memory_limit, remedy)
+
+        # 1. The elements, where the receivers lie on them, and direct light there.
+        run = RadiosityRun(self, world, receivers, s)
+        elements, total = run.elements, 2 * run.elements.count
+        yield from run.stage(run.answer.prepare(), 0.0, 0.1, "Receivers and direct light")
+
+        # 2. What arrives from lamps and background.
+        yield from run.stage(run.lamps.run(), 0.1, 0.2, "Light of lamps and background on elements")
+        light = run.lamps.irradiance
+        run.check_lit(light)
+
+        # 3. Rays find the sides that light can reach, and what they see.
+        matrix = FactorMatrix(elements, s.rays, s.closed_forms)
+        for known in matrix.discover(np.flatnonzero(run.emitted.any(axis=1) | light.any(axis=1))):
+            yield from run.step(0.2 + 0.3 * known / max(1, total), f"Rays from {known:,} element sides")
+        sides = matrix.sides
+
+        # 4. F(ij), reciprocal and closed.
+        rho = elements.albedo[sides >> 1]
+        yield from run.stage(matrix.build(rho), 0.5, 0.9, f"Form factors of {len(sides):,} element sides")
+        refuse_trapped(elements, sides, matrix.transport)
+        system = System(matrix.transport, run.emitted[sides], light[sides], s.min_length, s.max_length)
+
+        # 5. B = E + rho F B (Eq. 10, 11), relaxed row by row.
+        relax = jacobi if s.solver == "jacobi" else gauss_seidel
+        residual = 0.0
+        for iterate in relax(system.transport, system.emitted, system.arriving, s.tolerance, s.max_iterations):
+            run.find, residual = finder(run, matrix, system, iterate.irradiance), iterate.residual
+            run.note(residual)
+            yield from run.step(run.relaxed(residual, 0.9), f"Iteration {len(run.history)}, residual {residual:.1e}")
+        run.check_converged(residual)
+        yield from run.finish(f"Solved in {len(run.history)} iterations")
 
 
-class _Run:
-    """The state of one solve."""
+def finder(run: RadiosityRun, matrix: FactorMatrix, system: System, irradiance: np.ndarray) -> Callable[[bool], Found]:
+    """The answer to the iterate `irradiance` (n, 3) of the system, found when it is asked for."""
 
-    def __init__(
-        self, solver: Solver, world: World, receivers: Receivers, settings: MatrixSettings, elements: Elements, started: float
-    ) -> None:
-        self.solver, self.world, self.receivers, self.settings = solver, world, receivers, settings
-        self.elements, self.started = elements, started
-        emitters = Emitters(world)
-        gather = receiver_light(world, emitters, settings)
-        self.answer = ElementAnswer(elements, receivers, gather, settings.min_length, settings.max_length)
-        self.lamps = LampLight(elements, emitters, settings.light_samples)
-        self.matrix = FactorMatrix(elements, settings.rays, settings.closed_forms)
-        self.history: list[tuple[float, float]] = []
-        self.warnings = world.scene.warnings + world.shading.substitutions(solver.spec.lobes)
-        self.transport: MatrixTransport | None = None
-        self.irradiance = np.zeros((0, 3))
+    def find(partial: bool) -> Found:
+        direct, indirect = np.zeros((2, 2 * run.elements.count, 3))
+        direct[matrix.sides], indirect[matrix.sides], balance = system.counted(irradiance)
+        parts = run.answer.parts(direct, indirect)
+        return Found(parts, run.lamps.rays + matrix.report.rays + parts.rays, balance, matrix.report.arrays())
 
-    def steps(self) -> Iterator[Step]:
-        receivers_end, lamps_end, rows_end, factors_end = STAGES
-        # 1. Where the receivers lie on the elements, and direct light at them.
-        for share in self.answer.prepare():
-            yield self._step(receivers_end * share, "Receivers and direct light")
-        # 2. Light of lamps and background on the elements.
-        for share in self.lamps.run():
-            yield self._step(receivers_end + (lamps_end - receivers_end) * share, "Light of lamps and background on elements")
-        self.warnings += dark_notices(self.elements, self.lamps.irradiance)
-        # 3. Rays to find the sides that light can reach, and what they see.
-        emits = np.repeat(self.elements.emitted.any(axis=1), 2)
-        lit = np.flatnonzero(emits | self.lamps.irradiance.any(axis=1))
-        for known in self.matrix.discover(lit):
-            share = known / max(1, 2 * self.elements.count)
-            yield self._step(lamps_end + (rows_end - lamps_end) * share, f"Rays from {known:,} element sides")
-        # 4. The matrix.
-        sides = self.matrix.sides
-        for share in self.matrix.build(self.elements.albedo[sides >> 1]):
-            yield self._step(rows_end + (factors_end - rows_end) * share, f"Form factors of {len(sides):,} element sides")
-        self.transport = self.matrix.transport
-        self.emitted = self.elements.emitted[sides >> 1]
-        self.arriving = self.lamps.irradiance[sides]
-        self._refuse_trapped()
-        # 5. The system.
-        s = self.settings
-        scheme = jacobi if s.solver == "jacobi" else gauss_seidel
-        first = residual = 1.0
-        for iterate in scheme(self.transport, self.emitted, self.arriving, s.tolerance, s.max_iterations):
-            self.irradiance, residual = iterate.irradiance, iterate.residual
-            first = first if self.history else max(residual, 1e-300)
-            self.history.append((time.monotonic() - self.started, residual))
-            done = np.log(max(residual, 1e-300) / first) / np.log(max(s.tolerance, 1e-16) / first) if residual < first else 0.0
-            text = f"Iteration {len(self.history)}, residual {residual:.1e}"
-            yield self._step(factors_end + (1 - factors_end) * float(np.clip(done, 0, 0.99)), text)
-        if residual > s.tolerance:
-            reason = f"stopped after {s.max_iterations} iterations at a relative change of {residual:.1e}"
-            self.warnings += (Notice(self.solver.spec.label, reason, "Raise max_iterations or the tolerance"),)
-        yield self._step(1.0, f"Solved in {len(self.history)} iterations", partial=False)
-
-    def _refuse_trapped(self) -> None:
-        caught = np.flatnonzero(trapped(self.transport))
-        if len(caught):
-            refuse(self.elements, int(self.matrix.sides[caught[0]]))
-
-    def _step(self, fraction: float, text: str, partial: bool = True) -> Step:
-        irradiance, history, warnings = self.irradiance, tuple(self.history), self.warnings
-        seconds = time.monotonic() - self.started
-        return Step(fraction, text, lambda: self._solution(irradiance, history, warnings, seconds, partial))
-
-    def _solution(self, irradiance: np.ndarray, history: tuple, warnings: tuple[Notice, ...], seconds: float, partial: bool) -> Solution:
-        s = self.settings
-        low, high = s.min_length, s.max_length
-        n = 2 * self.elements.count
-        direct, indirect = np.zeros((n, 3)), np.zeros((n, 3))
-        balance, rays, extra = None, self.lamps.rays, {}
-        if self.transport is None or not len(irradiance):
-            # Before the system is relaxed: what the lamps give, which is of length 1.
-            direct += self.lamps.irradiance if low <= 1 <= high else 0.0
-        else:
-            sides, t = self.matrix.sides, self.transport
-            direct[sides], indirect[sides] = lengths(t, self.emitted, self.arriving, irradiance, low, high)
-            counted = direct[sides] + indirect[sides]
-            if low > 1:
-                counted = sum(lengths(t, self.emitted, self.arriving, irradiance, 1, high))
-            balance = energy_balance(t, self.emitted, self.arriving, counted)
-            report = self.matrix.report
-            rays += report.rays
-            names = ("exact", "cast", "reciprocity", "closure")
-            extra = {f"factors_{name}": np.array([getattr(report, name)], np.float64) for name in names}
-        parts = self.answer.parts(direct, indirect)
-        return Solution(
-            self.solver.spec.id,
-            self.receivers.measure,
-            **{**parts.arrays(), "extra": {**parts.extra, **extra}},
-            rays=rays + parts.rays,
-            seconds=seconds,
-            balance=balance,
-            history=history,
-            warnings=warnings,
-            settings=s.as_dict(),
-            partial=partial,
-        )
-
-
-def energy_balance(transport: MatrixTransport, emitted: np.ndarray, arriving: np.ndarray, irradiance: np.ndarray) -> EnergyBalance:
-    """Flux for irradiance (n, 3) that need not have converged: what leaves the elements and is not in it yet is unshot."""
-    area = transport.area[:, None]
-    radiosity = emitted + transport.rho * irradiance
-    next_ = transport.gather(radiosity) + arriving
-    return EnergyBalance(
-        emitted=float((area * (emitted + arriving)).sum()),
-        absorbed=float((area * (1 - transport.rho) * irradiance).sum()),
-        escaped=float((area * transport.sky[:, None] * radiosity).sum()),
-        unshot=float((area * (next_ - irradiance)).sum()),
-    )
+    return find

@@ -23,16 +23,17 @@ import numpy as np
 
 from ..adjoint_gi.core.base.errors import Notice
 from ..adjoint_gi.core.base.parallel import thread_count
-from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.base.settings import NO_LIMIT, setting
 from ..adjoint_gi.core.bsdf import table as bsdf
 from ..adjoint_gi.core.elements.answer import ElementAnswer, Parts, element_count, elements_for
 from ..adjoint_gi.core.elements.elements import Elements
 from ..adjoint_gi.core.elements.rays import ElementRays
 from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
-from ..adjoint_gi.core.method.solution import EnergyBalance, Solution, Step
-from ..adjoint_gi.core.radiosity.schemes import LARGEST_BATCH, NO_LIMIT, Southwell, balance, group
-from ..adjoint_gi.core.radiosity.shared import LampLight, RadiositySettings, dark_notices, receiver_light
+from ..adjoint_gi.core.method.solution import Solution, Step
+from ..adjoint_gi.core.radiosity.lamp_light import LampLight, dark_notices, receiver_light
+from ..adjoint_gi.core.radiosity.settings import RadiositySettings
+from ..adjoint_gi.core.radiosity.southwell import LARGEST_BATCH, Grouping, Shooting, Southwell, balance
 from ..adjoint_gi.core.radiosity.trapped import Trap
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import World
@@ -139,13 +140,14 @@ class MultiPass(Solver):
     def solve(self, world: World, receivers: Receivers, settings: MultiPassSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every group of shots, then about ten times a second."""
         emitters = Emitters(world)
-        elements = elements_for(world, receivers, settings.max_edge, TARGET)
         run = Run(self.spec, world, receivers, settings, emitters)
-        blend = _Blend(run, elements, emitters)
-        # 1. Radiosity.
+        blend = _Blend(run, elements_for(world, receivers, settings.max_edge, TARGET), emitters)
+
+        # 1. W = g + T* W (Eq. 2): progressive radiosity.
         for share, text in blend.radiosity():
-            yield Step(FIRST * share, text, blend.solution)
-        # 2. Refinement.
+            yield from run.clock.pause(Step(FIRST * share, text, blend.solution))
+
+        # 2. L = Le + T L (Eq. 1): path tracing that reads the radiosity further off.
         walk = Walk(world, emitters, blend.chains.table, settings.min_length, settings.max_length)
         unmet = blend.caustics.unmet_light(settings.min_length, settings.max_length)
         view = View(walk, blend.known(), settings.hops if blend.reads else settings.max_length + 1, False, unmet)
@@ -171,6 +173,11 @@ class _Blend:
         self.state = Southwell(self.transport, self.emitted, np.zeros_like(self.emitted))
         self.parts: Parts | None = None
 
+    @property
+    def rays(self) -> int:
+        """Cast by the first pass so far."""
+        return self.lamps.rays + self.caustics.rays + self.transport.count + self.answer.rays
+
     def radiosity(self) -> Iterator[tuple[float, str]]:
         """Yield the share of the first pass done and what is being done."""
         s, run = self.settings, self.run
@@ -184,29 +191,20 @@ class _Blend:
         # Light of lamps over mirrors is indirect; it comes in after the state has begun, as its second class.
         self.state = state = Southwell(self.transport, self.emitted, self.lamps.irradiance)
         state.arrive_later(self.caustics.total)
-        left = float(state.unshot_flux().sum())
+        shooting = Shooting(state, Grouping.for_sides(len(state.direct), s.rays, SHOTS), s.tolerance, s.max_shots)
         trap = Trap(state)
-        while left > s.tolerance * state.total and state.shots < s.max_shots:
-            index, rays = group(state, s.rays, s.max_shots, SHOTS)
-            if not len(index):
-                break
-            state.shoot(index, rays)
+        for share in shooting.run():
             trap.check(self.elements)
-            left = float(state.unshot_flux().sum())
-            share = left / state.total
             run.history.append((run.clock.seconds, share))
-            yield 0.3 + 0.7 * float(np.clip(1 - share, 0, 0.999)), f"{state.shots:,} shots, {share:.2%} of the light unshot"
-        if left > s.tolerance * state.total:
-            reason = f"radiosity stopped after {state.shots:,} shots with {left / state.total:.2%} of the light unshot"
-            run.warnings += (Notice(run.spec.label, reason, "Raise max_shots or the tolerance, or lower albedos that are close to 1"),)
+            yield 0.3 + 0.7 * float(np.clip(1 - share, 0, 0.999)), shooting.text
+        if shooting.unfinished:
+            remedy = "Raise max_shots or the tolerance, or lower albedos that are close to 1"
+            run.warnings += (Notice(run.spec.label, f"radiosity {shooting.shortfall}", remedy),)
         # The second pass has an error of its own.
         run.history.clear()
-        run.balance = self._balance()
-        run.rays += self.lamps.rays + self.caustics.rays + self.transport.count + self.answer.rays
+        run.balance = balance(state)
+        run.rays += self.rays
         self.parts = self.answer.parts(state.direct, state.indirect)
-
-    def _balance(self) -> EnergyBalance:
-        return balance(self.state)
 
     def known(self) -> KnownLight:
         """Irradiance of the elements for the second pass."""
@@ -231,8 +229,8 @@ class _Blend:
 
         arrays = {name: mix(name) for name in ("emitted", "direct", "indirect", "albedo")}
         weight = np.maximum(parts.weight, second.weight)
-        rays = second.rays if self.parts else self.lamps.rays + self.caustics.rays + self.transport.count + self.answer.rays
-        return dataclasses.replace(second, **arrays, weight=weight, rays=rays, balance=self._balance(), extra=parts.extra | second.extra)
+        rays, extra = second.rays if self.parts else self.rays, parts.extra | second.extra
+        return dataclasses.replace(second, **arrays, weight=weight, rays=rays, balance=balance(self.state), extra=extra)
 
     def _now(self) -> Parts:
         """The first answer with an estimate for the light that has not been shot yet."""

@@ -32,11 +32,11 @@ from ..adjoint_gi.core.bsdf.table import ALL_LOBES, KINDS, BsdfTable
 from ..adjoint_gi.core.elements.answer import elements_for
 from ..adjoint_gi.core.flux.tally import Batch, ElementScore, ReceiverScore, Tally
 from ..adjoint_gi.core.lights.emission import Emission
+from ..adjoint_gi.core.method.clock import Clock
 from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
 from ..adjoint_gi.core.method.solution import Solution, Step
 from ..adjoint_gi.core.receivers.base import Receivers, SurfaceReceivers
 from ..adjoint_gi.core.scene.world import World
-from ..adjoint_gi.core.walks.gathering import Clock
 from ..adjoint_gi.core.walks.particles import Hits, walk
 
 SMALLEST, LARGEST = 1 << 10, 1 << 15  # particles in a batch
@@ -186,7 +186,7 @@ class ParticleTracing(Solver):
                     yield from clock.pause(Step(tally.count / settings.particles, text, solution))
         if at_receivers(receivers, settings):
             warnings += empty_notices(self.spec.label, tally)
-        yield Step(1.0, f"{tally.count:,} particles", lambda: solution(False))
+        yield from clock.last(Step(1.0, f"{tally.count:,} particles", lambda: solution(False)))
 
 
 def shoot_batch(

@@ -167,7 +167,7 @@ def diffuse_steps(run: Run, settings: PathSettings, rng: np.random.Generator) ->
         if clock.due():
             yield from clock.pause(Step(1.0, f"Reading surfaces, {done:.0%}", run.solution))
     run.partial = False
-    yield Step(1.0, f"{settings.samples} samples", run.solution)
+    yield from clock.last(Step(1.0, f"{settings.samples} samples", run.solution))
 
 
 def general_walk(world: World, emitters: Emitters, table: BsdfTable, settings: PathSettings) -> radiance.Walk:

@@ -37,15 +37,16 @@ from ..adjoint_gi.core.flux.detectors import Detector, FaceDetector, Flux, detec
 from ..adjoint_gi.core.lights.emission import Particles
 from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.lights.outgoing import cosine_directions
+from ..adjoint_gi.core.method.clock import Clock
 from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
 from ..adjoint_gi.core.method.solution import Solution, Step
 from ..adjoint_gi.core.radiosity.factor_matrix import FactorMatrix, bytes_needed
-from ..adjoint_gi.core.radiosity.schemes import Southwell
-from ..adjoint_gi.core.radiosity.shared import LampLight
+from ..adjoint_gi.core.radiosity.lamp_light import LampLight
+from ..adjoint_gi.core.radiosity.southwell import Southwell
 from ..adjoint_gi.core.radiosity.transports import MatrixTransport, RayTransport, Transport
 from ..adjoint_gi.core.receivers.base import Places, Receivers
 from ..adjoint_gi.core.scene.world import Surface, World
-from ..adjoint_gi.core.walks.gathering import Clock, Run
+from ..adjoint_gi.core.walks.gathering import Run
 from ..adjoint_gi.core.walks.particles import Hits, walk
 from ..adjoint_gi.core.walks.radiance import Gathered
 
@@ -217,7 +218,7 @@ class _OnElements:
         if not self.parts.any():
             reason = "are reached by nothing, so the potential is 0 everywhere"
             self.warnings += (Notice("Receivers", reason, "Check the camera's view or the chosen faces"),)
-        yield self._step(1.0, "Walked" if walks else f"Relaxed in {len(self.history)} iterations", partial=False)
+        yield from self.clock.last(self._step(1.0, "Walked" if walks else f"Relaxed in {len(self.history)} iterations", partial=False))
 
     # ---- relaxation
 

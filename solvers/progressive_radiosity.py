@@ -14,27 +14,24 @@ Overshooting", Eurographics Workshop on Rendering, 1992, 21-32.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core.base.errors import Notice
-from ..adjoint_gi.core.base.settings import setting
-from ..adjoint_gi.core.elements.answer import ElementAnswer, element_count, elements_for
-from ..adjoint_gi.core.elements.corners import ElementNodes
+from ..adjoint_gi.core.base.settings import NO_LIMIT, setting
+from ..adjoint_gi.core.elements.answer import ElementAnswer, element_count
 from ..adjoint_gi.core.elements.elements import Elements
-from ..adjoint_gi.core.elements.mesh import element_mesh
+from ..adjoint_gi.core.elements.mesh import ElementNodes, element_mesh
 from ..adjoint_gi.core.elements.rays import ElementRays
 from ..adjoint_gi.core.elements.refinement import RefinedElements, smoothed
 from ..adjoint_gi.core.flux.detectors import detector
-from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
-from ..adjoint_gi.core.method.solution import Solution, Step
+from ..adjoint_gi.core.method.solution import Step
+from ..adjoint_gi.core.radiosity.element_run import Found, RadiosityRun
 from ..adjoint_gi.core.radiosity.importance import GROWTH, PER_SIDE, Subdivision, importance, shoot_emitters
-from ..adjoint_gi.core.radiosity.schemes import BATCH, FEWEST, LARGEST_BATCH, MOST, NO_LIMIT, Southwell, balance, group
-from ..adjoint_gi.core.radiosity.shared import LampLight, RadiositySettings, dark_notices, receiver_light
+from ..adjoint_gi.core.radiosity.settings import RadiositySettings
+from ..adjoint_gi.core.radiosity.southwell import BATCH, LARGEST_BATCH, Grouping, Shooting, Southwell, balance
 from ..adjoint_gi.core.radiosity.transports import FreshRayTransport
 from ..adjoint_gi.core.radiosity.trapped import Trap
 from ..adjoint_gi.core.receivers.base import Receivers
@@ -137,82 +134,70 @@ class ProgressiveRadiosity(Solver):
 
     def solve(self, world: World, receivers: Receivers, settings: ProgressiveSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every group of shots; the fraction is the flux delivered."""
-        run = _Run(self, world, receivers, settings)
-        yield from run.steps()
+        s = settings
+        run = ProgressiveRun(self, world, receivers, s)
+
+        # 1. Where the receivers lie on the elements, and direct light at them.
+        yield from run.stage(run.answer.prepare(), 0.0, 0.0, "Receivers and direct light, {}")
+
+        # 2. Lamps and background are shot first.
+        yield from run.stage(run.lamps.run(), 0.0, 0.0, "Light of lamps and background, {}")
+        run.begin()
+
+        # 3. Shadow boundaries: emitters shoot, elements are cut.
+        if s.adaptive and s.max_length >= 1:
+            yield from run.subdivide()
+
+        # 4. Groups of sides, most unshot flux first: B(j) += rho(j) dB(i) F(ij) A(i) / A(j) (Eq. 13, 14).
+        state, trap = run.state, Trap(run.state)
+        shooting = Shooting(state, Grouping.for_sides(len(state.direct), s.rays), s.tolerance, s.max_shots)
+        for share in shooting.run():
+            trap.check(run.elements)
+            run.note(share)
+            yield from run.step(shooting.done, shooting.text)
+        if shooting.unfinished:
+            run.warn(shooting.shortfall, "Raise max_shots or the tolerance, or lower albedos that are close to 1")
+        yield from run.finish(f"{state.shots:,} shots")
 
 
-class _Run:
-    """The state of one solve."""
+class ProgressiveRun(RadiosityRun):
+    """One solve. `base` are the elements before subdivision, `state` is what has been shot and what has not."""
 
     def __init__(self, solver: Solver, world: World, receivers: Receivers, settings: ProgressiveSettings) -> None:
-        self.solver, self.receivers, self.settings = solver, receivers, settings
-        self.started = time.monotonic()
-        self.base = self.elements = elements_for(world, receivers, settings.max_edge, target(settings))
-        self.emitters = Emitters(world)
-        self.gather = receiver_light(world, self.emitters, settings)
-        self.answer = self._answer(receivers)
+        super().__init__(solver, world, receivers, settings)
+        self.base = self.elements
         self.fine: ElementAnswer | None = None  # at the corners of the elements that subdivision has made
-        self.lamps = LampLight(self.elements, self.emitters, settings.light_samples)
         self.transport = FreshRayTransport(ElementRays(self.elements))
-        self.warnings = world.scene.warnings + world.shading.substitutions(solver.spec.lobes)
-        self.history: list[tuple[float, float]] = []
         self.rays = 0  # of transports that are no longer used, and of subdivision
-        self.state = self._southwell()
+        self._start()
 
-    def _answer(self, receivers: Receivers) -> ElementAnswer:
-        return ElementAnswer(self.elements, receivers, self.gather, self.settings.min_length, self.settings.max_length)
-
-    def _southwell(self) -> Southwell:
+    def _start(self) -> None:
         s = self.settings
-        emitted = np.repeat(self.base.emitted, 2, axis=0)
-        return Southwell(self.transport, emitted, self.lamps.irradiance, s.min_length, s.max_length, s.overshoot)
+        self._become(Southwell(self.transport, self.emitted, self.lamps.irradiance, s.min_length, s.max_length, s.overshoot))
 
-    def steps(self) -> Iterator[Step]:
-        s = self.settings
-        # 1. Where the receivers lie on the elements, and direct light at them.
-        for share in self.answer.prepare():
-            yield self._step(0.0, f"Receivers and direct light, {share:.0%}")
-        # 2. Lamps and background are shot first.
-        for share in self.lamps.run():
-            yield self._step(0.0, f"Light of lamps and background, {share:.0%}")
-        self.state = self._southwell()
-        self.warnings += dark_notices(self.elements, self.lamps.irradiance)
-        if s.overshoot and not self.state.overshoot:
-            self._warn("overshooting is off, as path lengths are bounded", "Set the lengths to 0 and 1024")
-        # 3. Shadow boundaries.
-        if s.adaptive and s.max_length >= 1:
-            yield from self._subdivide()
-        # 4. Groups of sides, most unshot flux first.
-        left = float(self.state.unshot_flux().sum())
-        trap = Trap(self.state)
-        while left > s.tolerance * self.state.total and self.state.shots < s.max_shots:
-            index, rays = group(self.state, s.rays, s.max_shots)
-            if not len(index):
-                break
-            self.state.shoot(index, rays)
-            trap.check(self.elements)
-            left = float(self.state.unshot_flux().sum())
-            share = left / self.state.total
-            self.history.append((time.monotonic() - self.started, share))
-            done = (1 - share) / (1 - s.tolerance) if s.tolerance < 1 else 1.0
-            yield self._step(float(np.clip(done, 0, 0.999)), f"{self.state.shots:,} shots, {share:.2%} of the light unshot")
-        if left > s.tolerance * self.state.total:
-            reason = f"stopped after {self.state.shots:,} shots with {left / self.state.total:.2%} of the light unshot"
-            self._warn(reason, "Raise max_shots or the tolerance, or lower albedos that are close to 1")
-        yield self._step(1.0, f"{self.state.shots:,} shots", partial=False)
+    def _become(self, state: Southwell) -> None:
+        self.state, elements = state, self.elements
+        self.find = lambda partial: self._find(state, elements, partial)
 
-    def _subdivide(self) -> Iterator[Step]:
+    def begin(self) -> None:
+        """All light is unshot: that of the elements, and what they reflect of that of lamps and background."""
+        self._start()
+        self.check_lit(self.lamps.irradiance)
+        if self.settings.overshoot and not self.state.overshoot:
+            self.warn("overshooting is off, as path lengths are bounded", "Set the lengths to 0 and 1024")
+
+    def subdivide(self) -> Iterator[Step]:
         """Shoot the emitters, then cut elements round by round and go on with the finer ones; no flux is gained or lost."""
         s, start = self.settings, self.state
         flux = start.unshot_flux()
-        rays = np.clip(np.ceil(s.rays * flux / max(start.total, 1e-300)), FEWEST, MOST).astype(np.int64)
+        rays = Grouping(s.rays, BATCH).rays(np.arange(len(flux)), flux, start.total)
         for _ in shoot_emitters(start, rays, BATCH):
-            yield self._step(0.0, "Light of emitting surfaces")
+            yield from self.step(0.0, "Light of emitting surfaces")
         limit = s.min_edge or self.base.max_edge / 8
         matters = None
         if s.important:
-            yield self._step(0.0, "What matters to the important objects")
-            matters = importance(self.base, detector(self.base.world, "objects", s.important))
+            yield from self.step(0.0, "What matters to the important objects")
+            matters = importance(self.base, detector(self.world, "objects", s.important))
             self.rays += 2 * self.base.count * PER_SIDE
         division = Subdivision(self.base, self.emitters, s.light_samples, s.contrast, limit, matters)
         for text in division.run(start.first):
@@ -220,29 +205,21 @@ class _Run:
                 self.elements = division.elements
                 self.rays += self.transport.count
                 self.transport = FreshRayTransport(ElementRays(self.elements))
-                self.state = start.refined(self.transport, division.root, division.factor)
+                self._become(start.refined(self.transport, division.root, division.factor))
                 self.answer.refine(self.elements)
-            yield self._step(0.0, text)
+            yield from self.step(0.0, text)
         self.rays += division.rays
         if division.full:
             reason = f"subdivision stopped at {self.elements.count:,} elements, {GROWTH} times as many as before"
-            self._warn(reason, "Raise min_edge or contrast, or lower max_edge")
+            self.warn(reason, "Raise min_edge or contrast, or lower max_edge")
         # The mesh that was asked for has got more vertices.
         if isinstance(self.receivers, ElementNodes) and isinstance(self.elements, RefinedElements):
-            fine = self._answer(ElementNodes(self.elements, self.receivers.objects))
-            for share in fine.prepare():
-                yield self._step(0.0, f"Direct light on the new elements, {share:.0%}")
+            fine = self.answer_at(ElementNodes(self.elements, self.receivers.objects))
+            yield from self.stage(fine.prepare(), 0.0, 0.0, "Direct light on the new elements, {}")
             self.fine = fine
             self.rays += fine.rays
 
-    def _warn(self, reason: str, remedy: str) -> None:
-        self.warnings += (Notice(self.solver.spec.label, reason, remedy),)
-
-    def _step(self, fraction: float, text: str, partial: bool = True) -> Step:
-        state, elements = self.state, self.elements
-        return Step(fraction, text, lambda: self._solution(state, elements, partial))
-
-    def _solution(self, state: Southwell, elements: Elements, partial: bool) -> Solution:
+    def _find(self, state: Southwell, elements: Elements, partial: bool) -> Found:
         s = self.settings
         direct, indirect = state.direct, state.indirect
         if partial and s.ambient and s.max_length >= 2:
@@ -254,28 +231,11 @@ class _Run:
             if self.fine is not None and elements is self.fine.elements:
                 extra = self.fine.receivers.wire(self.fine.parts(direct, indirect).arrays())
             elif not partial:
-                extra = wire(elements, direct + indirect)
+                extra = element_mesh(elements, direct + indirect).arrays()
         parts = self.answer.parts(direct, indirect)
-        return Solution(
-            self.solver.spec.id,
-            self.receivers.measure,
-            **{**parts.arrays(), "extra": {**parts.extra, **extra}},
-            rays=self.rays + self.transport.count + self.lamps.rays + parts.rays,
-            seconds=time.monotonic() - self.started,
-            balance=balance(state),
-            history=tuple(self.history),
-            warnings=self.warnings,
-            settings=s.as_dict(),
-            partial=partial,
-        )
+        return Found(parts, self.rays + self.transport.count + self.lamps.rays + parts.rays, balance(state), extra)
 
 
 def target(settings: ProgressiveSettings) -> int:
     """Elements wanted where max_edge is chosen; fewer where they will be cut."""
     return TARGET // 4 if settings.adaptive else TARGET
-
-
-def wire(elements: Elements, irradiance: np.ndarray) -> dict[str, np.ndarray]:
-    """The mesh of the elements for `Solution.extra`, with irradiance at its corners; names as in `ElementMesh`."""
-    mesh = element_mesh(elements, irradiance)
-    return {f"mesh_{name}": getattr(mesh, name) for name in ("vertices", "corners", "start", "triangle", "values")}

@@ -14,27 +14,21 @@ Computer Graphics (SIGGRAPH '91 Proceedings), 25(4), 1991, 187-196.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core.base.errors import Notice
-from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.base.settings import NO_LIMIT, setting
 from ..adjoint_gi.core.bsdf import table as bsdf
-from ..adjoint_gi.core.directional.answer import DirectionalAnswer, Light
 from ..adjoint_gi.core.directional.harmonic_shooting import HarmonicShooting
 from ..adjoint_gi.core.directional.harmonics import MOST, HemisphereHarmonics, harmonic_count
-from ..adjoint_gi.core.directional.rays import ArrivingLight, DirectionalRays
-from ..adjoint_gi.core.directional.scattering import Scattering
-from ..adjoint_gi.core.elements.answer import element_count, elements_for
-from ..adjoint_gi.core.elements.elements import Elements
-from ..adjoint_gi.core.lights.emitters import Emitters
+from ..adjoint_gi.core.directional.run import DirectionalRun, leaving
+from ..adjoint_gi.core.elements.answer import element_count
 from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
-from ..adjoint_gi.core.method.solution import EnergyBalance, Solution, Step
-from ..adjoint_gi.core.radiosity.schemes import NO_LIMIT
-from ..adjoint_gi.core.radiosity.shared import RadiositySettings, dark_notices
+from ..adjoint_gi.core.method.solution import Step
+from ..adjoint_gi.core.radiosity.settings import RadiositySettings
+from ..adjoint_gi.core.radiosity.southwell import Grouping, Shooting, balance
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import World
 
@@ -117,103 +111,39 @@ class SphericalHarmonics(Solver):
 
     def solve(self, world: World, receivers: Receivers, settings: HarmonicSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every group of shots; the fraction is the flux delivered."""
-        started = time.monotonic()
-        elements = elements_for(world, receivers, settings.max_edge, TARGET)
-        emitters = Emitters(world)
-        caster = DirectionalRays(elements)
-        basis = HemisphereHarmonics(settings.order, settings.window)
-        scattering = Scattering(elements, bsdf.BsdfTable(world.scene), basis)
-        answer = DirectionalAnswer(caster, receivers, emitters, settings, scattering)
-        light = ArrivingLight(caster, emitters, settings.light_samples, background=True)
-        state = HarmonicShooting(caster, basis, scattering, settings.min_length, settings.max_length)
-        state.emit(elements_radiance(elements, basis))
-        warnings = world.scene.warnings + world.shading.substitutions(self.spec.lobes)
-        history: list[tuple[float, float]] = []
+        s = settings
+        basis = HemisphereHarmonics(s.order, s.window)
+        run = DirectionalRun(self, world, receivers, s, basis, background=True)
+        state = HarmonicShooting(run.caster, basis, run.scattering, s.min_length, s.max_length)
+        run.find = lambda partial: run.found((state.direct, state.indirect), state.count, balance(state))
 
-        def step(fraction: float, text: str, partial: bool = True) -> Step:
-            return Step(fraction, text, lambda: solution(partial))
+        # 1. M_ab of every material; where the receivers lie on the elements, and direct light at them. What elements emit is unshot.
+        state.emit(leaving(run.elements, basis))
+        yield from run.stage(run.scattering.prepare(), 0.0, 0.0, "Materials in harmonics, {}")
+        yield from run.stage(run.answer.prepare(), 0.0, 0.0, "Receivers and direct light, {}")
 
-        def solution(partial: bool) -> Solution:
-            parts = answer.parts(*(arrived(scattering, basis, x) for x in (state.direct, state.indirect)))
-            return Solution(
-                self.spec.id,
-                receivers.measure,
-                **parts.arrays(),
-                rays=state.count + light.rays + parts.rays,
-                seconds=time.monotonic() - started,
-                balance=balance(state),
-                history=tuple(history),
-                warnings=warnings,
-                settings=settings.as_dict(),
-                partial=partial,
-            )
-
-        # 1. BRDFs in harmonics; where the receivers lie on the elements, and direct light at them.
-        for share in scattering.prepare():
-            yield step(0.0, f"Materials in harmonics, {share:.0%}")
-        for share in answer.prepare():
-            yield step(0.0, f"Receivers and direct light, {share:.0%}")
         # 2. Lamps and background are shot first.
-        moments = np.zeros_like(state.direct)
-
-        def sink(side: np.ndarray, w: np.ndarray, value: np.ndarray) -> None:
-            first = int(side.min(initial=0))
-            h = basis.values(w)
-            for c in range(3):
-                for a in range(basis.size):
-                    sums = np.bincount(side - first, value[:, c] * h[:, a])
-                    moments[first : first + len(sums), a, c] += sums
-
-        for share in light.run(sink):
-            yield step(0.0, f"Light of lamps and background, {share:.0%}")
+        moments = run.field()
+        yield from run.stage(run.lamps.run(run.into(moments)), 0.0, 0.0, "Light of lamps and background, {}")
         state.illuminate(moments)
-        warnings += dark_notices(elements, moments)
-        # 3. Groups of sides, most unshot flux first.
-        left = least = float(state.strength().sum())
-        progress = 0  # shots at which the least was found
-        while left > settings.tolerance * state.total and state.shots < settings.max_shots:
-            index, rays = group(state, settings)
-            if not len(index):
-                break
-            state.shoot(index, rays)
-            left = float(state.strength().sum())
-            if left < 0.98 * least:
-                least, progress = left, state.shots
-            share = left / state.total
-            history.append((time.monotonic() - started, share))
-            done = (1 - share) / (1 - settings.tolerance) if settings.tolerance < 1 else 1.0
-            yield step(float(np.clip(done, 0, 0.999)), f"{state.shots:,} shots, {share:.2%} of the light unshot")
-            if state.shots - progress > PATIENCE * len(state.area):
-                break
-        if left > settings.tolerance * state.total:
-            reason = f"stopped after {state.shots:,} shots with {left / state.total:.2%} of the light unshot"
-            warnings += (Notice(self.spec.label, reason, "Raise rays, max_shots, windowing or the tolerance, or lower albedos close to 1"),)
-        yield step(1.0, f"{state.shots:,} shots", partial=False)
+        run.check_lit(moments)
+
+        # 3. Groups of sides, most unshot flux first: L(j, wo) += sum_ab h_a(wo) M_ab dq(j, b) (Eq. 13 and 14 by direction).
+        shooting = Shooting(state, grouping(state, s.rays), s.tolerance, s.max_shots, PATIENCE * len(state.area))
+        for share in shooting.run():
+            run.note(share)
+            yield from run.step(shooting.done, shooting.text)
+        if shooting.unfinished:
+            run.warn(shooting.shortfall, "Raise rays, max_shots, windowing or the tolerance, or lower albedos close to 1")
+        yield from run.finish(f"{state.shots:,} shots")
 
 
-def elements_radiance(elements: Elements, basis: HemisphereHarmonics) -> np.ndarray:
-    """(n, size, 3) coefficients of the emission, which is the same in all directions."""
-    return np.repeat(elements.emitted / np.pi, 2, axis=0)[:, None] * basis.constant()[:, None]
+def grouping(state: HarmonicShooting, carriers: int) -> Grouping:
+    """Groups of sides, in which `carriers` rays carry all emitted flux."""
 
+    def fewest(index: np.ndarray) -> np.ndarray:
+        # Noise: a narrow lobe makes of one ray a radiance whose mean square is about `size` times that of an even one. Sent on along
+        # fewer rays than this, each of which may hit another mirror, it would grow from bounce to bounce.
+        return np.where(state.scattering.shiny[index >> 1], max(FEWEST, ENOUGH * state.basis.size), FEWEST)
 
-def group(state: HarmonicShooting, settings: HarmonicSettings) -> tuple[np.ndarray, np.ndarray]:
-    """The sides that shoot next and the rays of each: in the order of what they have to send, as many as fit into one batch of rays."""
-    index, strength = state.largest(min(AT_ONCE, settings.max_shots - state.shots))
-    # Noise: a narrow lobe makes of one ray a radiance whose mean square is about `size` times that of an even one. Sent on along
-    # fewer rays than this, each of which may hit another mirror, it would grow from bounce to bounce.
-    fewest = np.where(state.scattering.shiny[index >> 1], max(FEWEST, ENOUGH * state.basis.size), FEWEST)
-    rays = np.clip(np.ceil(settings.rays * strength / max(state.total, 1e-300)), fewest, MOST_RAYS).astype(np.int64)
-    fits = max(1, int(np.searchsorted(np.cumsum(rays), BATCH, side="right")))
-    return index[:fits], rays[:fits]
-
-
-def arrived(scattering: Scattering, basis: HemisphereHarmonics, moments: np.ndarray) -> Light:
-    """What moments (n, size, 3) mean to receivers."""
-    shine = scattering.apply(moments, diffuse=False)
-    exitance = np.einsum("a,nac->nc", basis.flux, scattering.apply(moments))
-    return Light(np.sqrt(2 * np.pi) * moments[:, 0], scattering.below_coat(moments), shine, exitance)
-
-
-def balance(state: HarmonicShooting) -> EnergyBalance:
-    """Flux summed over the channels; light cut off by the path length counts as unshot."""
-    return EnergyBalance(state.total, float(state.absorbed.sum()), float(state.escaped.sum()), float(state.remaining().sum()))
+    return Grouping(carriers, BATCH, AT_ONCE, fewest, MOST_RAYS)

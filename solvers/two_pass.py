@@ -24,7 +24,7 @@ import numpy as np
 
 from ..adjoint_gi.core.base.errors import Notice
 from ..adjoint_gi.core.base.parallel import thread_count
-from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.base.settings import NO_LIMIT, setting
 from ..adjoint_gi.core.bsdf import table as bsdf
 from ..adjoint_gi.core.elements.answer import element_count, elements_for
 from ..adjoint_gi.core.elements.elements import Elements
@@ -32,8 +32,9 @@ from ..adjoint_gi.core.elements.rays import ElementRays
 from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
 from ..adjoint_gi.core.method.solution import Step
-from ..adjoint_gi.core.radiosity.schemes import NO_LIMIT, jacobi
-from ..adjoint_gi.core.radiosity.shared import LampLight, RadiositySettings, dark_notices
+from ..adjoint_gi.core.radiosity.lamp_light import LampLight, dark_notices
+from ..adjoint_gi.core.radiosity.relaxation import jacobi
+from ..adjoint_gi.core.radiosity.settings import RadiositySettings
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import World
 from ..adjoint_gi.core.two_pass.caustics import Caustics
@@ -131,11 +132,11 @@ class TwoPass(Solver):
     def solve(self, world: World, receivers: Receivers, settings: TwoPassSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield through both passes; pictures begin with the second."""
         emitters = Emitters(world)
-        elements = elements_for(world, receivers, settings.max_edge, TARGET)
         run = Run(self.spec, world, receivers, settings, emitters)
+        elements = elements_for(world, receivers, settings.max_edge, TARGET)
         first = FirstPass(elements, emitters, settings, receivers.measure == "irradiance")
         for share, text in first.run():
-            yield Step(FIRST * share, text, run.solution)
+            yield from run.clock.pause(Step(FIRST * share, text, run.solution))
         run.rays += first.rays
         run.warnings += first.warnings
 

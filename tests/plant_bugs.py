@@ -90,7 +90,7 @@ BUGS = (
     ),
     Bug(
         "float32 sums",
-        "adjoint_gi/core/radiosity/schemes.py",
+        "adjoint_gi/core/radiosity/southwell.py",
         "            self.absorbed += (area * (1 - rho) * light).sum(axis=0)",
         "            self.absorbed += np.float32((area * (1 - rho) * light).sum(axis=0))",
         "tests/methods/test_progressive_radiosity.py",

@@ -12,7 +12,7 @@ from adjgi.adjoint_gi.core.directional.rays import DirectionalRays
 from adjgi.adjoint_gi.core.directional.scattering import Scattering
 from adjgi.adjoint_gi.core.directional.transport import DirectionalTransport
 from adjgi.adjoint_gi.core.elements.elements import Elements
-from adjgi.adjoint_gi.core.radiosity.schemes import jacobi
+from adjgi.adjoint_gi.core.radiosity.relaxation import jacobi
 from adjgi.adjoint_gi.core.radiosity.transports import MatrixTransport
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse

@@ -13,7 +13,7 @@ from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
 from adjgi.adjoint_gi.core.lights.background import Background
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import method
-from adjgi.adjoint_gi.core.radiosity.schemes import jacobi
+from adjgi.adjoint_gi.core.radiosity.relaxation import jacobi
 from adjgi.adjoint_gi.core.radiosity.transports import MatrixTransport
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
@@ -133,15 +133,22 @@ def test_the_world_lights_a_plane(drawn, monkeypatch):
     assert not s.indirect.any()
 
 
-def test_diffuse_input_equals_the_full_matrix_of_the_same_rays():
+def test_diffuse_input_equals_the_full_matrix_of_the_same_rays(monkeypatch):
     """Through the solver, whose answer is float32; to 1e-10 in tests/core/test_directions.py."""
     scene = scenes.room(0.7, 0.2, 0.5, (0.3, 0, 0, 0, 0, 1.0))
     receivers = on_elements(scene, 1.5)
     e = receivers.elements
-    run = solvers.directional_radiosity._Run(
-        method("directional_radiosity").spec, e.world, receivers, method("directional_radiosity").Settings(**{**FAST, "tolerance": 1e-13})
-    )
-    *_, last = run.steps()
+    runs = []
+
+    class Recorded(solvers.directional_radiosity.BinRun):
+        def __init__(self, *args):
+            super().__init__(*args)
+            runs.append(self)
+
+    monkeypatch.setattr(solvers.directional_radiosity, "BinRun", Recorded)
+    solver = method("directional_radiosity")
+    *_, last = solver.solve(e.world, receivers, solver.Settings(**{**FAST, "tolerance": 1e-13}), np.random.default_rng(0))
+    (run,) = runs
     t = run.transport
     per = t.bins.size * t.rays
     hit = t.met >= 0

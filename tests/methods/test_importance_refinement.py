@@ -10,7 +10,7 @@ from adjgi.adjoint_gi.core.flux import detectors
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.radiosity import importance as adaptive
-from adjgi.adjoint_gi.core.radiosity.shared import LampLight
+from adjgi.adjoint_gi.core.radiosity.lamp_light import LampLight
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Light
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse

@@ -14,7 +14,7 @@ from adjgi.adjoint_gi.core.lights.direct import direct_irradiance
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.radiosity import importance as adaptive
-from adjgi.adjoint_gi.core.radiosity.schemes import LARGEST_BATCH
+from adjgi.adjoint_gi.core.radiosity.southwell import LARGEST_BATCH
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Light
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse

@@ -8,16 +8,18 @@ import tracemalloc
 import numpy as np
 import pytest
 from adjgi import solvers
+from adjgi.adjoint_gi.core.base.settings import NO_LIMIT
 from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
 from adjgi.adjoint_gi.core.directional.harmonic_shooting import HarmonicShooting
 from adjgi.adjoint_gi.core.directional.harmonics import HemisphereHarmonics
 from adjgi.adjoint_gi.core.directional.rays import DirectionalRays
+from adjgi.adjoint_gi.core.directional.run import leaving
 from adjgi.adjoint_gi.core.directional.scattering import Scattering
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
 from adjgi.adjoint_gi.core.lights.background import Background
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import method
-from adjgi.adjoint_gi.core.radiosity.schemes import NO_LIMIT, Southwell
+from adjgi.adjoint_gi.core.radiosity.southwell import Grouping, Southwell
 from adjgi.adjoint_gi.core.radiosity.transports import FreshRayTransport
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
@@ -66,7 +68,7 @@ def shooter(elements, order, window=0.0, low=0, high=NO_LIMIT):
     caster, basis = DirectionalRays(elements), HemisphereHarmonics(order, window)
     scattering = Scattering.ready(elements, BsdfTable(elements.world.scene), basis, 1 << 14)
     state = HarmonicShooting(caster, basis, scattering, low, high)
-    state.emit(solvers.spherical_harmonics.elements_radiance(elements, basis))
+    state.emit(leaving(elements, basis))
     return state
 
 
@@ -83,9 +85,9 @@ def test_diffuse_walls_equal_progressive_radiosity_on_the_same_rays(order, low, 
     ours = shooter(elements, order, low=low, high=high)
     transport = FreshRayTransport(ours.caster)
     theirs = Southwell(transport, np.repeat(elements.emitted, 2, axis=0), np.zeros((2 * elements.count, 3)), low, high)
-    settings = solvers.progressive_radiosity.ProgressiveSettings(rays=20_000)
+    grouping = Grouping.for_sides(2 * elements.count, 20_000)
     for _ in range(12):
-        index, rays = solvers.progressive_radiosity.group(theirs, settings.rays, settings.max_shots)
+        index, rays = grouping.next(theirs)
         if not len(index):
             break
         theirs.shoot(index, rays)
@@ -131,9 +133,9 @@ def test_eight_glossy_kirchhoff_cavity(order):
     emitted = one - state.scattering.apply(moments)
     emitted[1::2] = 0
     state.emit(emitted)
-    settings = solvers.spherical_harmonics.HarmonicSettings(order=order, rays=400_000)
-    while state.strength().sum() > 1e-6 * state.total:
-        state.shoot(*solvers.spherical_harmonics.group(state, settings))
+    grouping = solvers.spherical_harmonics.grouping(state, 400_000)
+    while state.unshot_flux().sum() > 1e-6 * state.total:
+        state.shoot(*grouping.next(state))
     radiance = emitted + state.scattering.apply(state.direct + state.indirect)
     irradiance = np.sqrt(2 * np.pi) * (state.direct + state.indirect)[0::2, 0]
     assert np.allclose(irradiance, np.pi, rtol=0.02)

@@ -22,8 +22,8 @@ import bpy
 import numpy as np
 
 from ...core.base.errors import AdjointError, Notice, TargetError
-from ...core.elements.corners import ElementNodes, mesh_solution
 from ...core.elements.elements import Elements
+from ...core.elements.mesh import ElementNodes, mesh_solution
 from ...core.images.exr import write_exr
 from ...core.images.png import write_png
 from ...core.method.driver import Driver

@@ -46,6 +46,12 @@ def require_memory(what: str, needed: int, available: int | None = None) -> None
         raise MemoryRefused(what, reason, "Lower the resolution or the number of elements, or choose another method")
 
 
+def require_within(what: str, needed: int, limit: int, remedy: str, verb: str = "could need") -> None:
+    """Raise `MemoryRefused` when `needed` bytes are over the setting `memory_limit`, in MB of 2^20 bytes."""
+    if needed > limit << 20:
+        raise MemoryRefused(what, f"{verb} {needed / 2**20:,.0f} MB, over its limit of {limit:,} MB", remedy)
+
+
 def size_text(bytes: int) -> str:
     """A number of bytes in words, such as "1.5 GB"."""
     size = float(bytes)

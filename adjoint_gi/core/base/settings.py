@@ -8,6 +8,8 @@ from typing import Any
 
 from .errors import SettingsError
 
+NO_LIMIT = 1024  # a max_length of this or more does not bound the paths
+
 
 def setting(
     default: Any,

@@ -12,7 +12,8 @@ from ..bsdf import table as bsdf
 from ..elements.answer import ElementAnswer, Parts, _sum
 from ..lights.direct import direct_irradiance
 from ..lights.emitters import Emitters
-from ..radiosity.shared import RadiositySettings, receiver_light
+from ..radiosity.lamp_light import receiver_light
+from ..radiosity.settings import RadiositySettings
 from ..receivers.base import Points, Receivers
 from ..scene.world import Surface
 from ..walks.radiance import Walk, gather, take
@@ -31,6 +32,13 @@ class Light:
     base: np.ndarray
     shine: np.ndarray
     exitance: np.ndarray
+
+
+def light_of(scattering: Scattering, arriving: np.ndarray) -> Light:
+    """What a field that arrives, (n, size, 3), means to receivers."""
+    basis = scattering.basis
+    shine = scattering.apply(arriving, diffuse=False)
+    return Light(basis.irradiance(arriving), scattering.below_coat(arriving), shine, basis.exitance(scattering.apply(arriving)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,6 +56,24 @@ class Bins:
         """(size,) the radiance that is `value` in every direction."""
         return np.full(self.size, float(value))
 
+    def irradiance(self, arriving: np.ndarray) -> np.ndarray:
+        """(n, 3) W m-2 of radiance that arrives, a field (n, size, 3)."""
+        return np.pi * arriving.mean(axis=1)
+
+    def exitance(self, leaving: np.ndarray) -> np.ndarray:
+        """(n, 3) W m-2 of radiance that leaves, a field (n, size, 3)."""
+        return np.pi * leaving.mean(axis=1)
+
+    def add(self, field: np.ndarray, side: np.ndarray, w: np.ndarray, value: np.ndarray) -> None:
+        """Add to the radiance `field` (n, size, 3) light that arrives on sides (m,) along `w` (m, 3) and adds `value` (m, 3) W m-2 to the
+        irradiance."""
+        flat = field.reshape(-1, 3)
+        pair = side * self.size + self.of(w)
+        first = int(pair.min(initial=0))
+        for c in range(3):
+            sums = np.bincount(pair - first, value[:, c] / self.solid)
+            flat[first : first + len(sums), c] += sums
+
     def dimming(self, curve: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """(size,) means over the bins of `curve(cosine)`."""
         s = (np.arange(self.rows)[:, None] + (np.arange(16) + 0.5) / 16) / self.rows

@@ -1,8 +1,8 @@
 """Shooting of radiance that is kept in harmonics: the state of the method of Sillion, Arvo, Westin and Greenberg 1991.
 
-As `schemes.Southwell`, with coefficients of radiance by direction in the place of radiosity. A shot samples the radiance of its side
-along rays drawn by the cosine; what arrives is kept as moments, the sum of flux times h_a(wi) over area, and a matrix for each
-material turns moments into the coefficients of what leaves. Flux is what is counted, so none is lost.
+As `radiosity.southwell.Southwell`, with coefficients of radiance by direction in the place of radiosity. A shot samples the radiance
+of its side along rays drawn by the cosine; what arrives is kept as moments, the sum of flux times h_a(wi) over area, and a matrix for
+each material turns moments into the coefficients of what leaves. Flux is what is counted, so none is lost.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..base.parallel import in_order
-from ..radiosity.schemes import NO_LIMIT
+from ..base.settings import NO_LIMIT
+from ..radiosity.southwell import most_first
 from .harmonics import HemisphereHarmonics
 from .rays import DirectionalRays
 from .scattering import Scattering
@@ -90,7 +91,7 @@ class HarmonicShooting:
         else:
             self.unshot[min(length, len(self.unshot) - 1), 2 * first : 2 * last] += leaving
 
-    def strength(self) -> np.ndarray:
+    def unshot_flux(self) -> np.ndarray:
         """(n,) W: flux that each side has still to send, absolute values, as light that rings may have a negative one.
 
         Radiance that carries no flux on the whole is ringing, or the noise of few rays, and does not bring a side to the front.
@@ -161,9 +162,4 @@ class HarmonicShooting:
 
     def largest(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Up to `count` sides with the most to send, most first, and how much; sides with nothing are left out."""
-        strength = self.strength()
-        index = np.argpartition(-strength, count)[:count] if count < len(strength) else np.arange(len(strength))
-        # Ties go to the lower index, so that the order is always the same.
-        index = index[np.lexsort((index, -strength[index]))]
-        index = index[strength[index] > 0]
-        return index, strength[index]
+        return most_first(self.unshot_flux(), count)

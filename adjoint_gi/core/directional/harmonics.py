@@ -123,6 +123,24 @@ class HemisphereHarmonics:
         out[0] = value * np.sqrt(2 * np.pi)
         return out
 
+    def irradiance(self, arriving: np.ndarray) -> np.ndarray:
+        """(n, 3) W m-2 of light that arrives, moments (n, size, 3)."""
+        return np.sqrt(2 * np.pi) * arriving[:, 0]
+
+    def exitance(self, leaving: np.ndarray) -> np.ndarray:
+        """(n, 3) W m-2 of radiance that leaves, coefficients (n, size, 3)."""
+        return np.einsum("a,nac->nc", self.flux, leaving)
+
+    def add(self, field: np.ndarray, side: np.ndarray, w: np.ndarray, value: np.ndarray) -> None:
+        """Add to the moments `field` (n, size, 3) light that arrives on sides (m,) along `w` (m, 3) and adds `value` (m, 3) W m-2 to the
+        irradiance."""
+        first = int(side.min(initial=0))
+        h = self.values(w)
+        for c in range(3):
+            for a in range(self.size):
+                sums = np.bincount(side - first, value[:, c] * h[:, a])
+                field[first : first + len(sums), a, c] += sums
+
     def dimming(self, curve: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """(size,) coefficients of `curve(cosine)`."""
         w, weight = hemisphere_quadrature(64)

@@ -28,6 +28,15 @@ class Basis(Protocol):
     def constant(self, value: float = 1.0) -> np.ndarray:
         """Coefficients (size,) of the radiance `value` in every direction."""
 
+    def irradiance(self, arriving: np.ndarray) -> np.ndarray:
+        """(n, 3) W m-2 of a field (n, size, 3) that arrives."""
+
+    def exitance(self, leaving: np.ndarray) -> np.ndarray:
+        """(n, 3) W m-2 of a field (n, size, 3) that leaves."""
+
+    def add(self, field: np.ndarray, side: np.ndarray, w: np.ndarray, value: np.ndarray) -> None:
+        """Add to `field` light that arrives on sides (m,) along `w` (m, 3) and adds `value` (m, 3) W m-2 to the irradiance."""
+
     def dimming(self, curve: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """Coefficients (size,) of `curve(cosine)`."""
 

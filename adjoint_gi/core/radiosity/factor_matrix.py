@@ -34,6 +34,11 @@ class FactorReport:
     reciprocity: float
     closure: float
 
+    def arrays(self) -> dict[str, np.ndarray]:
+        """For `Solution.extra`: all but the rays, "factors_" before each name, (1,) float64."""
+        names = ("exact", "cast", "reciprocity", "closure")
+        return {f"factors_{name}": np.array([getattr(self, name)], np.float64) for name in names}
+
 
 def bytes_needed(sides: int, rays: int) -> int:
     """Memory of `build` for so many sides: float64 factors, one byte of mask, the kept hits and a block of pairs."""

@@ -14,8 +14,8 @@ from ..elements.rays import ElementRays
 from ..elements.refinement import RefinedElements, contrast, longest_edge, over_base
 from ..flux.detectors import Detector
 from ..lights.emitters import Emitters
-from .schemes import Southwell
-from .shared import LampLight
+from .lamp_light import LampLight
+from .southwell import Southwell
 from .transports import RayTransport
 
 PER_SIDE = 64  # rays of each element side for the potential that says what matters

@@ -7,10 +7,25 @@ import numpy as np
 
 from ..base.errors import SceneError
 from ..elements.elements import Elements
-from .schemes import Southwell
+from .southwell import Southwell
+from .transports import MatrixTransport
 
 ROUNDS = 4.0  # times that the unshot light of a channel is sent before its losses are judged
 LOSS = 1e-4  # share of what is sent that must be absorbed or escape
+
+
+def trapped(transport: MatrixTransport) -> np.ndarray:
+    """(n,) bool: sides from which light can never leave, because all it can reach has albedo 1 in some channel."""
+    out = np.zeros(len(transport.area), bool)
+    for c in range(3):
+        loses = (transport.rho[:, c] < 1) | (transport.sky > 1e-9)
+        while True:
+            more = loses | (transport.factors @ loses > 1e-12)
+            if (more == loses).all():
+                break
+            loses = more
+        out |= ~loses
+    return out
 
 
 class Trap:
@@ -34,6 +49,13 @@ class Trap:
             side = int(np.argmax(state.transport.area * state.unshot[:, :, channel].sum(axis=0)))
             refuse(elements, side)
         self._sent, self._lost = self._sent + due * sent, self._lost + due * lost
+
+
+def refuse_trapped(elements: Elements, sides: np.ndarray, transport: MatrixTransport) -> None:
+    """Raises SceneError where light cannot leave one of the element sides `sides` (n,) of the transport."""
+    caught = np.flatnonzero(trapped(transport))
+    if len(caught):
+        refuse(elements, int(sides[caught[0]]))
 
 
 def refuse(elements: Elements, side: int) -> None:

@@ -10,10 +10,10 @@ from contextlib import closing
 import numpy as np
 
 from ..base.parallel import in_order
+from ..base.settings import NO_LIMIT
 from ..elements.elements import Elements
 from ..lights.emission import STEPS
 from ..lights.emitters import Emitters
-from ..radiosity.schemes import NO_LIMIT
 from ..walks.mirror_chains import Chains
 from .known_light import KnownLight
 

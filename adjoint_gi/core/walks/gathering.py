@@ -7,7 +7,6 @@ partial results, error history - is the same for all and done here.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, fields
@@ -18,6 +17,7 @@ from ..base.errors import Notice
 from ..base.parallel import in_order
 from ..base.settings import Settings
 from ..lights.emitters import Emitters
+from ..method.clock import Clock
 from ..method.registry import MethodSpec
 from ..method.solution import EnergyBalance, Solution, Step
 from ..receivers.base import Points, Receivers
@@ -26,35 +26,10 @@ from ..scene.world import Surface, World
 from .radiance import Gathered
 
 BATCH = 1 << 14
-PAUSE = 0.1  # seconds between steps, about
 
 Estimate = Callable[[Surface, np.ndarray | None, np.random.Generator], Gathered]
 # Draws the points of samples (receiver (n,), number of the sample (n,)) and gives the estimate of just these points.
 Place = Callable[[np.ndarray, np.ndarray, np.random.Generator], tuple[Points, Estimate]]
-
-
-class Clock:
-    """Seconds of work, without the time in which nobody asked for the next step."""
-
-    def __init__(self) -> None:
-        self._began = time.perf_counter()
-        self._last = self._began
-
-    @property
-    def seconds(self) -> float:
-        """Worked so far."""
-        return time.perf_counter() - self._began
-
-    def due(self) -> bool:
-        """Whether it is time for a step."""
-        return time.perf_counter() - self._last >= PAUSE
-
-    def pause(self, step: Step) -> Iterator[Step]:
-        """Yield `step` and leave out the time until the generator is continued."""
-        left = time.perf_counter()
-        yield step
-        self._last = time.perf_counter()
-        self._began += self._last - left
 
 
 @dataclass
@@ -148,7 +123,7 @@ class Run:
         """Read what only a finished picture gets, and yield the last step."""
         yield from self._read_surfaces(before=False)
         self.partial = False
-        yield Step(1.0, text, self.solution)
+        yield from self.clock.last(Step(1.0, text, self.solution))
 
     def _read_surfaces(self, before: bool) -> Iterator[Step]:
         # Camera samples find out by themselves what they see; the normals and depths are read last.

@@ -1,125 +1,149 @@
-"""Schemes that solve H = F (E + rho H) + H0 over any transport: Jacobi and Gauss-Seidel gather, Southwell shoots.
+"""The scheme that shoots: Southwell relaxation of H = F (E + rho H) + H0, column by column (review, section 7, Eq. 13 and 14).
 
 H is irradiance, E emitted radiosity, H0 irradiance that arrives from outside the elements (lamps, background); all (n, 3).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
+from ..base.settings import NO_LIMIT
 from ..method.solution import EnergyBalance
-from .transports import MatrixTransport, Transport
+from .transports import Transport
 
-BLOCK = 64  # rows that Gauss-Seidel solves together
-NO_LIMIT = 1024  # a max_length of this or more does not bound the paths
 BATCH = 1 << 16  # rays of the sides that shoot together, at least; more where there are more sides, as each group costs a look at all
 LARGEST_BATCH = 1 << 18
 FEWEST, MOST = 8, 1 << 17  # rays of one shot
 AT_ONCE = 1 << 14  # sides that shoot together at most
 
 
-@dataclass(frozen=True, eq=False)
-class Iterate:
-    """One step of a gathering scheme: irradiance (n, 3) and the residual relative to the solution, in area-weighted mean."""
+class Shot(Protocol):
+    """What Southwell's scheme shoots from: `Southwell` on diffuse elements, `HarmonicShooting` where radiance depends on direction.
 
-    irradiance: np.ndarray
-    residual: float
-
-
-def jacobi(transport: Transport, emitted: np.ndarray, arriving: np.ndarray, tolerance: float, limit: int) -> Iterator[Iterate]:
-    """Jacobi from zero: iterate k holds exactly the paths of 1 to k + 1 segments (the Neumann series).
-
-    Yields until the residual falls to `tolerance` or `limit` steps are done.
+    total   emitted flux in W, the channels summed; shots: sides that have shot
+    absorbed, escaped   (3,) float64 flux in W by channel
     """
-    term = transport.gather(emitted) + arriving
-    total = term.copy()
-    for step in range(limit):
-        residual = _relative(transport, term, total)
-        yield Iterate(total, residual)
-        if residual <= tolerance or step == limit - 1:
-            return
-        term = transport.gather(transport.rho * term)
-        total = total + term
+
+    total: float
+    shots: int
+    absorbed: np.ndarray
+    escaped: np.ndarray
+
+    def unshot_flux(self) -> np.ndarray:
+        """(n,) float64 flux in W that each side has still to send, absolute values."""
+
+    def remaining(self) -> np.ndarray:
+        """(3,) float64 flux in W not yet sent, and flux cut off by the path length."""
+
+    def largest(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Up to `count` sides with the most flux to send, most first, and their flux in W; sides with none are left out."""
+
+    def shoot(self, index: np.ndarray, rays: np.ndarray) -> None:
+        """Send the unshot light of sides `index` (m,) along `rays` (m,) rays each."""
 
 
-def gauss_seidel(transport: MatrixTransport, emitted: np.ndarray, arriving: np.ndarray, tolerance: float, limit: int) -> Iterator[Iterate]:
-    """Gauss-Seidel: each row uses the rows already done. Rows go in blocks whose own triangle is solved directly: the same numbers.
+@dataclass(frozen=True)
+class Grouping:
+    """Which sides shoot next: those with the most unshot flux, as many as fit into one batch of rays.
 
-    Iterates do not hold the paths of a known length; `lengths` cuts them out of the finished solution.
+    carriers   rays that carry all emitted flux; a shot takes its share of them by its flux, but at least `fewest` and at most `most`
+    fewest     a number, or a function of the sides (m,) that gives each its own
+    batch      rays of the sides that shoot together, about; sides: the most that do
     """
-    factors, rho = transport.factors, transport.rho
-    n = len(rho)
-    radiosity = emitted.copy()
-    irradiance = np.zeros_like(emitted)
-    starts = range(0, n, BLOCK)
-    # Row i of a block: H_i - sum_{j < i} F_ij rho_j H_j = F_i B (with the block's new part left out) + H0_i.
-    lower = [np.tril(factors[a : a + BLOCK, a : a + BLOCK], -1) for a in starts]
-    for step in range(limit):
-        change = np.zeros_like(emitted)
-        for a, triangle in zip(starts, lower, strict=True):
-            b = slice(a, a + BLOCK)
-            right = factors[b] @ radiosity + arriving[b] - triangle @ (radiosity[b] - emitted[b])
-            if triangle.any():
-                matrix = np.eye(len(triangle)) - triangle * rho[b].T[:, None, :]
-                new = np.linalg.solve(matrix, right.T[..., None])[..., 0].T
-            else:
-                new = right
-            change[b] = new - irradiance[b]
-            irradiance[b] = new
-            radiosity[b] = emitted[b] + rho[b] * new
-        residual = _relative(transport, change, irradiance)
-        yield Iterate(irradiance.copy(), residual)
-        if residual <= tolerance or step == limit - 1:
-            return
+
+    carriers: int
+    batch: int
+    sides: int = AT_ONCE
+    fewest: int | Callable[[np.ndarray], np.ndarray] = FEWEST
+    most: int = MOST
+
+    @classmethod
+    def for_sides(cls, sides: int, carriers: int, least: int = BATCH) -> Grouping:
+        """For so many element sides: a batch holds `least` rays, or more where there are more sides."""
+        return cls(carriers, int(np.clip(sides // 2, least, LARGEST_BATCH)))
+
+    def rays(self, index: np.ndarray, flux: np.ndarray, total: float) -> np.ndarray:
+        """(m,) int64 rays for sides `index` (m,) that send `flux` (m,) W of `total` W."""
+        fewest = self.fewest(index) if callable(self.fewest) else self.fewest
+        return np.clip(np.ceil(self.carriers * flux / max(total, 1e-300)), fewest, self.most).astype(np.int64)
+
+    def next(self, state: Shot, shots_left: int = 1 << 62) -> tuple[np.ndarray, np.ndarray]:
+        """The sides (m,) that shoot next, at most `shots_left`, and the rays (m,) of each; none where nothing is unshot."""
+        index, flux = state.largest(min(self.sides, shots_left))
+        rays = self.rays(index, flux, state.total)
+        fits = max(1, int(np.searchsorted(np.cumsum(rays), self.batch, side="right")))
+        return index[:fits], rays[:fits]
 
 
-def _relative(transport: Transport, change: np.ndarray, total: np.ndarray) -> float:
-    scale = float((transport.area[:, None] * np.abs(total)).sum())
-    return float((transport.area[:, None] * np.abs(change)).sum()) / scale if scale else 0.0
+class Shooting:
+    """Southwell's scheme over any state: groups shoot until little is left, the shots are used up, or nothing more is gained.
 
-
-def lengths(
-    transport: Transport, emitted: np.ndarray, arriving: np.ndarray, irradiance: np.ndarray, low: int, high: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Direct and indirect irradiance (n, 3) of the paths of `low` to `high` segments, from the whole solution `irradiance`.
-
-    If H holds all lengths, F rho applied k times leaves those above k: what is longer than `high` is H pushed on `high` times.
+    left    flux in W that is unshot, absolute values summed; whole: the flux in W that it is a share of
     """
-    first = transport.gather(emitted) + arriving
-    direct = first if low <= 1 <= high else np.zeros_like(first)
-    rest = transport.gather(transport.rho * irradiance)  # lengths 2 and more
-    kept = rest if high >= 2 else np.zeros_like(rest)
-    above = rest
-    if high < NO_LIMIT or low > 2:
-        for length in range(3, max(low, high + 1 if 2 <= high < NO_LIMIT else 0) + 1):
-            above = transport.gather(transport.rho * above)  # lengths `length` and more
-            if above.max(initial=0.0) <= 1e-17 * irradiance.max(initial=0.0):
-                above = np.zeros_like(above)  # nothing of that length: the rest would only push zeros on
-                kept = above if length <= low else kept
-                break
-            if length == low:
-                kept = above
-            if length == high + 1:
-                kept = kept - above
-    return direct, kept
 
+    def __init__(
+        self,
+        state: Shot,
+        grouping: Grouping,
+        tolerance: float,
+        max_shots: int = 1 << 62,
+        patience: int | None = None,
+        whole: float | None = None,
+    ) -> None:
+        """`tolerance`: share of `whole` (all emitted flux where None) at which it ends. `patience`: shots in which the unshot flux must
+        have become less by 2 %; None is no bound."""
+        self.state, self.grouping, self.tolerance, self.max_shots, self.patience = state, grouping, tolerance, max_shots, patience
+        self.whole = state.total if whole is None else whole
+        self.left = float(state.unshot_flux().sum())
 
-def trapped(transport: MatrixTransport) -> np.ndarray:
-    """(n,) bool: sides from which light can never leave, because all it can reach has albedo 1 in some channel."""
-    out = np.zeros(len(transport.area), bool)
-    for c in range(3):
-        loses = (transport.rho[:, c] < 1) | (transport.sky > 1e-9)
-        while True:
-            more = loses | (transport.factors @ loses > 1e-12)
-            if (more == loses).all():
-                break
-            loses = more
-        out |= ~loses
-    return out
+    def run(self) -> Iterator[float]:
+        """Yield the share that is unshot after every group."""
+        state = self.state
+        least, best = self.left, state.shots
+        while self.unfinished and state.shots < self.max_shots:
+            # 1. The sides with the most unshot flux (Southwell picks the largest residual) send all of it (Eq. 13 and 14).
+            index, rays = self.grouping.next(state, self.max_shots - state.shots)
+            if not len(index):
+                return
+            state.shoot(index, rays)
+            # 2. What is left now.
+            self.left = float(state.unshot_flux().sum())
+            if self.left < 0.98 * least:
+                least, best = self.left, state.shots
+            yield self.share
+            if self.patience is not None and state.shots - best > self.patience:
+                return
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether more is left than the tolerance."""
+        return self.left > self.tolerance * self.whole
+
+    @property
+    def share(self) -> float:
+        """Unshot share."""
+        return self.left / self.whole if self.whole else 0.0
+
+    @property
+    def done(self) -> float:
+        """0 to 0.999: share of the way to the tolerance."""
+        done = (1 - self.share) / (1 - self.tolerance) if self.tolerance < 1 else 1.0
+        return float(np.clip(done, 0, 0.999))
+
+    @property
+    def text(self) -> str:
+        """How far it is, in words."""
+        return f"{self.state.shots:,} shots, {self.share:.2%} of the light unshot"
+
+    @property
+    def shortfall(self) -> str:
+        """What to say of a run that has ended before its tolerance."""
+        return f"stopped after {self.state.shots:,} shots with {self.share:.2%} of the light unshot"
 
 
 class Southwell:
@@ -251,26 +275,18 @@ class Southwell:
             # What a side has sent too early must not bring it to the front again.
             out = self.unshot.sum(axis=0) + self._expected(np.arange(len(flux)))
             flux = self.transport.area * np.abs(out).sum(axis=1)
-        index = np.argpartition(-flux, count)[:count] if count < len(flux) else np.arange(len(flux))
-        # Ties go to the lower index, so that the order is always the same.
-        index = index[np.lexsort((index, -flux[index]))]
-        index = index[flux[index] > 0]
-        return index, flux[index]
+        return most_first(flux, count)
 
 
-def group(state: Southwell, carriers: int, max_shots: int, least: int = BATCH) -> tuple[np.ndarray, np.ndarray]:
-    """The sides that shoot next and the rays of each: in the order of their unshot flux, as many as fit into one batch of rays.
-
-    `carriers` rays carry all emitted flux, in at most `max_shots` shots. A batch holds `least` rays, or more where there are more sides.
-    """
-    many = min(AT_ONCE, max_shots - state.shots)
-    index, flux = state.largest(many)
-    rays = np.clip(np.ceil(carriers * flux / max(state.total, 1e-300)), FEWEST, MOST).astype(np.int64)
-    batch = int(np.clip(len(state.direct) // 2, least, LARGEST_BATCH))
-    fits = max(1, int(np.searchsorted(np.cumsum(rays), batch, side="right")))
-    return index[:fits], rays[:fits]
+def most_first(flux: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Up to `count` indices of the largest `flux` (n,), largest first, and their values; none that is 0."""
+    index = np.argpartition(-flux, count)[:count] if count < len(flux) else np.arange(len(flux))
+    # Ties go to the lower index, so that the order is always the same.
+    index = index[np.lexsort((index, -flux[index]))]
+    index = index[flux[index] > 0]
+    return index, flux[index]
 
 
-def balance(state: Southwell) -> EnergyBalance:
+def balance(state: Shot) -> EnergyBalance:
     """Flux summed over the channels; light cut off by the path length counts as unshot."""
     return EnergyBalance(state.total, float(state.absorbed.sum()), float(state.escaped.sum()), float(state.remaining().sum()))

@@ -1,65 +1,23 @@
-"""What the radiosity methods share: settings, light from lamps and background on element sides, direct light at receivers."""
+"""Light straight from emitters: of lamps and background on element sides, and at the receivers where it is evaluated there."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
-from ..base import settings as base
 from ..base.errors import Notice
 from ..base.parallel import in_order
-from ..base.settings import setting
 from ..elements.answer import Gather
 from ..elements.elements import Elements
 from ..elements.rays import shifted_points
 from ..lights.direct import direct_irradiance
 from ..lights.emitters import Emitters
 from ..scene.world import Surface, World
-from .schemes import NO_LIMIT
+from .settings import RadiositySettings
 
 POINTS = 4  # points of an element that look at the lights, times `light_samples`
 BATCH = 1 << 14
-
-
-@dataclass(frozen=True)
-class RadiositySettings(base.Settings):
-    """Settings of every radiosity method. The seed has no effect: these methods are deterministic."""
-
-    max_length: int = setting(
-        NO_LIMIT,
-        label="Max Path Length",
-        help="Longest light path that counts: 1 is direct light only, 2 adds one bounce; 1024 is no limit",
-        min=0,
-        max=NO_LIMIT,
-        soft_max=64,
-    )
-    max_edge: float = setting(
-        0.0,
-        label="Max Element Edge",
-        help="Longest edge of the elements that faces are cut into; 0 chooses it",
-        min=0.0,
-        max=1e6,
-        unit="distance",
-    )
-    direct_light: str = setting(
-        "receivers",
-        label="Direct Light",
-        help="Where light that comes straight from lamps, background and emitting faces is evaluated in the result",
-        choices=(
-            ("receivers", "At Receivers", "At every texel, vertex or pixel, so that shadows are sharp; not part of the original method"),
-            ("elements", "On Elements", "On the elements, as in the paper: shadows are as sharp as the elements are small"),
-        ),
-    )
-    light_samples: int = setting(
-        8,
-        label="Light Samples",
-        help="Points on lights, and rays to the background, for each receiver point; each element takes four times as many",
-        min=1,
-        max=4096,
-        soft_max=64,
-    )
 
 
 def receiver_light(world: World, emitters: Emitters, settings: RadiositySettings) -> Gather | None:

@@ -1,0 +1,43 @@
+"""Seconds of work: what `Solution.seconds` and the first column of its history mean for every method."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+from .solution import Step
+
+PAUSE = 0.1  # seconds between steps, about
+
+
+class Clock:
+    """Seconds that a solver has worked. It stands still while a step is held by the consumer of the generator, and after the last one."""
+
+    def __init__(self) -> None:
+        self._worked = 0.0  # up to the last step
+        self._since: float | None = time.perf_counter()  # start of the present stretch; None while the clock stands still
+        self._last = self._since
+
+    @property
+    def seconds(self) -> float:
+        """Worked so far."""
+        return self._worked + (time.perf_counter() - self._since if self._since is not None else 0.0)
+
+    def due(self) -> bool:
+        """Whether it is time for a step."""
+        return time.perf_counter() - self._last >= PAUSE
+
+    def pause(self, step: Step) -> Iterator[Step]:
+        """Yield `step` and stand still until the generator is continued."""
+        self.stop()
+        yield step
+        self._since = self._last = time.perf_counter()
+
+    def last(self, step: Step) -> Iterator[Step]:
+        """Yield the last step and stand still for good."""
+        self.stop()
+        yield step
+
+    def stop(self) -> None:
+        """Stand still from now on."""
+        self._worked, self._since = self.seconds, None

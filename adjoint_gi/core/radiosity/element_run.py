@@ -1,0 +1,151 @@
+"""What methods on elements share: one solve with its clock, notices, history and steps, and its `Solution` from light on element sides.
+
+The counterpart of `walks.gathering.Run`. A method sets `find` whenever it knows more; a step keeps the one of its moment, and calls it
+only when its result is asked for, as that may cost much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..base.errors import Notice
+from ..base.settings import Settings
+from ..elements.answer import ElementAnswer, Parts, elements_for
+from ..lights.emitters import Emitters
+from ..method.clock import Clock
+from ..method.registry import Solver
+from ..method.solution import EnergyBalance, Solution, Step
+from ..receivers.base import Receivers
+from ..scene.world import World
+from .lamp_light import LampLight, dark_notices, receiver_light
+from .settings import RadiositySettings
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a method on elements knows at one moment: answers at the receivers, rays cast, energy balance, more arrays."""
+
+    parts: Parts
+    rays: int
+    balance: EnergyBalance | None = None
+    extra: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+class ElementRun:
+    """One solve of a method on elements.
+
+    find       what is known now, for a partial result or not; set by the method
+    history    (seconds of work, residual or unshot share) after every iteration
+    """
+
+    def __init__(self, solver: Solver, world: World, receivers: Receivers, settings: Settings) -> None:
+        self.spec, self.world, self.receivers, self.settings = solver.spec, world, receivers, settings
+        self.clock = Clock()
+        self.elements = elements_for(world, receivers, settings.max_edge, solver.element_target(settings))
+        self.emitters = Emitters(world)
+        self.history: list[tuple[float, float]] = []
+        self.warnings = world.scene.warnings + world.shading.substitutions(solver.spec.lobes)
+        self.find: Callable[[bool], Found]
+
+    @property
+    def emitted(self) -> np.ndarray:
+        """(2 ne, 3) float64 W m-2: radiosity that the element sides emit themselves, E(i) of Eq. 10."""
+        return np.repeat(self.elements.emitted, 2, axis=0)
+
+    # ---- steps
+
+    def step(self, fraction: float, text: str) -> Iterator[Step]:
+        """One step; the clock stands still until the next one is asked for."""
+        yield from self.clock.pause(self._step(fraction, text, True))
+
+    def pause(self, fraction: float, text: str) -> Iterator[Step]:
+        """A step where it is time for one: for work in small pieces."""
+        if self.clock.due():
+            yield from self.step(fraction, text)
+
+    def stage(self, shares: Iterable[float], start: float, end: float, text: str, step: Callable | None = None) -> Iterator[Step]:
+        """Work through one stage of a method: a step for each of the `shares` done, from `start` to `end` of the whole.
+
+        "{}" in `text` stands for the share. `step` is `self.pause` for work in small pieces.
+        """
+        for share in shares:
+            yield from (step or self.step)(start + (end - start) * share, text.format(f"{share:.0%}"))
+
+    def finish(self, text: str) -> Iterator[Step]:
+        """The last step, with the finished result."""
+        yield from self.clock.last(self._step(1.0, text, False))
+
+    def note(self, residual: float) -> None:
+        """Add to the history."""
+        self.history.append((self.clock.seconds, residual))
+
+    def relaxed(self, residual: float, start: float) -> float:
+        """Share of the whole that is done when relaxation, which begins at `start`, has come to `residual`: on a logarithmic scale."""
+        tolerance = self.settings.tolerance
+        done = np.log(max(residual, 1e-300)) / np.log(max(tolerance, 1e-16)) if tolerance < 1 else 1.0
+        return start + (1 - start) * float(np.clip(done, 0, 0.99))
+
+    # ---- notices
+
+    def warn(self, reason: str, remedy: str) -> None:
+        """Add a notice about the method."""
+        self.warnings += (Notice(self.spec.label, reason, remedy),)
+
+    def check_converged(self, residual: float, remedy: str = "Raise max_iterations or the tolerance") -> None:
+        """Say so where the iterations were used up before the tolerance was reached."""
+        if residual > self.settings.tolerance:
+            self.warn(f"stopped after {self.settings.max_iterations} iterations at a relative change of {residual:.1e}", remedy)
+
+    def check_lit(self, arriving: np.ndarray) -> None:
+        """Say so where nothing emits and nothing arrives from outside the elements, `arriving` (2 ne, ..)."""
+        self.warnings += dark_notices(self.elements, arriving)
+
+    # ---- results
+
+    def _step(self, fraction: float, text: str, partial: bool) -> Step:
+        find, seconds, history, warnings = self.find, self.clock.seconds, tuple(self.history), self.warnings
+
+        def solution() -> Solution:
+            found = find(partial)
+            return Solution(
+                self.spec.id,
+                self.receivers.measure,
+                **{**found.parts.arrays(), "extra": {**found.parts.extra, **found.extra}},
+                rays=found.rays,
+                seconds=seconds,
+                balance=found.balance,
+                history=history,
+                warnings=warnings,
+                settings=self.settings.as_dict(),
+                partial=partial,
+            )
+
+        return Step(fraction, text, solution)
+
+
+class RadiosityRun(ElementRun):
+    """One solve on diffuse elements: with irradiance of element sides, and direct light where the settings want it.
+
+    answer   from the elements to the receivers; lamps: light of lamps and background on the elements
+    """
+
+    def __init__(self, solver: Solver, world: World, receivers: Receivers, settings: RadiositySettings) -> None:
+        super().__init__(solver, world, receivers, settings)
+        self.lamps = LampLight(self.elements, self.emitters, settings.light_samples)
+        self.answer = self.answer_at(receivers)
+        self.find = self._lamps_alone
+
+    def answer_at(self, receivers: Receivers) -> ElementAnswer:
+        """Answers of the elements at other receivers."""
+        s = self.settings
+        return ElementAnswer(self.elements, receivers, receiver_light(self.world, self.emitters, s), s.min_length, s.max_length)
+
+    def _lamps_alone(self, partial: bool) -> Found:
+        """Before anything is solved: what lamps and background give, which is of length 1."""
+        none = np.zeros_like(self.lamps.irradiance)
+        counts = self.settings.min_length <= 1 <= self.settings.max_length
+        parts = self.answer.parts(self.lamps.irradiance if counts else none, none)
+        return Found(parts, self.lamps.rays + parts.rays)
