@@ -53,10 +53,10 @@ class Solution:
     albedo: np.ndarray
     weight: np.ndarray
     rays: int = 0
-    seconds: float = 0.0
+    seconds: float = 0.0  # of work up to this step; the time in which its consumer held a step is none (`method.clock`)
     balance: EnergyBalance | None = None
-    emitted_flux: float = 0.0  # of lamps and surfaces, W, channels summed; told by gathering methods, which have no balance
-    history: tuple[tuple[float, float], ...] = ()  # (seconds, residual or relative standard error)
+    emitted_flux: float = 0.0  # of lamps and surfaces, W, channels summed; for gathering methods, which have no balance
+    history: tuple[tuple[float, float], ...] = ()  # (seconds of work, residual, unshot share or relative standard error)
     warnings: tuple[Notice, ...] = ()
     settings: dict[str, Any] = field(default_factory=dict)
     partial: bool = False
