@@ -20,15 +20,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..adjoint_gi.core.base.resources import require_within
-from ..adjoint_gi.core.base.settings import NO_LIMIT, setting
+from ..adjoint_gi.core.base.settings import NO_LIMIT, choice, setting
 from ..adjoint_gi.core.bsdf import table as bsdf
 from ..adjoint_gi.core.bsdf.curves import SHAPES
-from ..adjoint_gi.core.bsdf.lobes import LOBES
+from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES, LOBES
 from ..adjoint_gi.core.directional.bins import Bins
 from ..adjoint_gi.core.directional.run import DirectionalRun, leaving
 from ..adjoint_gi.core.directional.transport import DirectionalTransport, bytes_needed, pairs_needed
 from ..adjoint_gi.core.elements.answer import element_count
-from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method import common_settings as common
+from ..adjoint_gi.core.method.registry import DETERMINISTIC, GATHERING_OR_SHOOTING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import EnergyBalance, Step
 from ..adjoint_gi.core.radiosity.element_run import Found
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
@@ -36,42 +37,29 @@ from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.arrays import Color
 from ..adjoint_gi.core.scene.world import World
 
-TARGET = 1000  # elements where max_edge is chosen
-
 
 @dataclass(frozen=True)
 class DirectionalSettings(RadiositySettings):
     """Settings of direction discretisation."""
 
     bin_rows: int = setting(
-        8, label="Bin Rows", help="Rings of direction bins from the normal to the horizon, of equal projected solid angle", min=1, max=64
+        8, "Bin Rows", "Rings of direction bins from the normal to the horizon, of equal projected solid angle", min=1, max=64
     )
-    bin_columns: int = setting(16, label="Bin Columns", help="Direction bins in each ring", min=1, max=256)
-    rays: int = setting(
-        4, label="Rays per Bin", help="Rays that each direction bin of each element side casts, once", min=1, max=4096, soft_max=64
-    )
-    strategy: str = setting(
+    bin_columns: int = setting(16, "Bin Columns", "Direction bins in each ring", min=1, max=256)
+    rays: int = setting(4, "Rays per Bin", "Rays that each direction bin of each element side casts, once", min=1, max=4096, soft_max=64)
+    strategy: str = choice(
         "gathering",
-        label="Strategy",
-        help="How the linear system is relaxed; the solution is the same",
-        choices=(
-            ("gathering", "Gathering", "Elements collect, bin by bin, what others send them"),
-            ("shooting", "Shooting", "Elements with the most unsent radiance send it first (Southwell)"),
-        ),
+        "Strategy",
+        "How the linear system is relaxed; the solution is the same",
+        gathering=("Gathering", "Elements collect, bin by bin, what others send them"),
+        shooting=("Shooting", "Elements with the most unsent radiance send it first (Southwell)"),
     )
-    solver: str = setting(
-        "gauss_seidel",
-        label="Gathering Solver",
-        help="Order of gathering; bounded path lengths are always found by Jacobi, one bounce at a time",
-        choices=(("gauss_seidel", "Gauss-Seidel", "Uses new values at once"), ("jacobi", "Jacobi", "Each iteration adds one bounce")),
+    solver: str = common.relaxation(
+        "Gathering Solver", "Order of gathering; bounded path lengths are always found by Jacobi, one bounce at a time"
     )
-    tolerance: float = setting(1e-4, label="Tolerance", help="Relative change at which the system is solved", min=0.0, max=1.0)
-    max_iterations: int = setting(
-        1000, label="Max Iterations", help="The method ends, and says so, after this many iterations or shots", min=1, max=1_000_000
-    )
-    memory_limit: int = setting(
-        2048, label="Memory Limit (MB)", help="The method does not start when it needs more than this", min=1, max=1 << 20
-    )
+    tolerance: float = common.tolerance(1e-4, "Relative change at which the system is solved")
+    max_iterations: int = common.max_iterations(1000, "The method ends, and says so, after this many iterations or shots", max=1_000_000)
+    memory_limit: int = common.memory_limit("The method does not start when it needs more than this")
 
 
 @register
@@ -82,34 +70,30 @@ class DirectionalRadiosity(Solver):
         id="directional_radiosity",
         number=4,
         label="Directional Radiosity",
-        strategies=(Strategy.GATHERING, Strategy.SHOOTING),
-        natures=(Nature.DETERMINISTIC,),
+        strategies=GATHERING_OR_SHOOTING,
+        natures=DETERMINISTIC,
         year=1986,
         authors="D. S. Immel, M. F. Cohen, D. P. Greenberg",
         title="A Radiosity Method for Non-Diffuse Environments",
         equation="L(i, d) = E(i) + sum_d' S(i, d, d') sum_j,e V(i, d', j, e) L(j, e)  (1, with 10 and 11 as its diffuse case)",
         section="5.2",
         idea="Every element keeps one radiance for each bin of directions; elements and directions together make one sparse linear system.",
-        limits=(
-            "Nothing is sharper than a bin and an element: mirrors and glass show blurred, stepped pictures",
-            "Memory grows with elements times bins times rays; it is said before the start and refused over the limit",
-            "Elements are flat: shading normals change only the camera's direct light",
-            "Lamps are no geometry: mirrors and glass pass on their light as it falls on them, but shadow rays stop at glass",
-            "Light inside glass is given as basic radiance, divided by the square of the index",
-            "A bounded path length is found by Jacobi iterations, whatever the strategy",
-        ),
-        lobes=bsdf.ALL_LOBES | {"emission"},
-        uses_elements=True,
+        lobes=ALL_LOBES,
+        limits=lines("""
+            Nothing is sharper than a bin and an element: mirrors and glass show blurred, stepped pictures
+            Memory grows with elements times bins times rays; it is said before the start and refused over the limit
+            Elements are flat: shading normals change only the camera's direct light
+            Lamps are no geometry: mirrors and glass pass on their light as it falls on them, but shadow rays stop at glass
+            Light inside glass is given as basic radiance, divided by the square of the index
+            A bounded path length is found by Jacobi iterations, whatever the strategy
+        """),
+        elements=1000,
     )
     Settings = DirectionalSettings
 
-    def element_target(self, settings: DirectionalSettings) -> int:
-        """Elements wanted where max_edge is 0."""
-        return TARGET
-
     def memory(self, world: World, receivers: Receivers, settings: DirectionalSettings) -> int:
         """Rays both ways, fields of element sides times bins, scattering matrices, receivers."""
-        count = element_count(world, receivers, settings.max_edge, TARGET)
+        count = element_count(world, receivers, settings.max_edge, self.spec.elements)
         lobes = {replace(x, color=Color()) for m in world.scene.materials for x in m.lobes if x.kind in bsdf.KINDS}
         tints = [len(LOBES[bsdf.KINDS[x.kind]].tints(np.ones((1, 3)))) for x in lobes]
         parts = sum(t * (1 + x.multiscatter) * (SHAPES if x.varies else 1) for t, x in zip(tints, lobes, strict=True))

@@ -25,8 +25,10 @@ from ..adjoint_gi.core.base import settings as base
 from ..adjoint_gi.core.base.parallel import thread_count
 from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf import table as bsdf
+from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES
 from ..adjoint_gi.core.lights.emitters import Emitters
-from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method import common_settings as common
+from ..adjoint_gi.core.method.registry import GATHERING, NONDETERMINISTIC, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Points, Receivers
 from ..adjoint_gi.core.sampling.sets import KINDS, Sampler
@@ -43,36 +45,26 @@ NEVER = 1 << 30
 class DistributionSettings(base.Settings):
     """Settings of distribution ray tracing."""
 
-    samples: int = setting(
-        16,
-        label="Samples",
-        help="Primary rays of each pixel, or points of each texel; squares and powers of two are best",
-        min=1,
-        max=1 << 20,
-        soft_max=1024,
-        effort=True,
+    samples: int = common.samples(
+        16, "Primary rays of each pixel, or points of each texel; squares and powers of two are best", max=1 << 20, soft_max=1024
     )
-    light_samples: int = setting(
-        4, label="Light Samples", help="Rays towards the lights from each surface that splits", min=1, max=4096, soft_max=64
-    )
-    brdf_samples: int = setting(4, label="BRDF Samples", help="Reflected rays from each surface that splits", min=1, max=4096, soft_max=64)
+    light_samples: int = common.light_samples(4, "Rays towards the lights from each surface that splits")
+    brdf_samples: int = setting(4, "BRDF Samples", "Reflected rays from each surface that splits", min=1, max=4096, soft_max=64)
     split_depth: int = setting(
         1,
-        label="Split Depth",
-        help="Surfaces from the receiver on that send as many rays as set; each multiplies the number of rays. Later ones send one of each",
+        "Split Depth",
+        "Surfaces from the receiver on that send as many rays as set; each multiplies the number of rays. Later ones send one of each",
         min=0,
         max=4,
     )
-    sampling: str = setting("jittered", label="Sampling", help="Where the random numbers come from", choices=KINDS)
+    sampling: str = setting("jittered", "Sampling", "Where the random numbers come from", choices=KINDS)
     joined: bool = setting(
         True,
-        label="Join Light and BRDF Rays",
-        help="BRDF rays count lights they meet, weighted against the light rays: less noise in gloss. Off: the two stages of the paper",
+        "Join Light and BRDF Rays",
+        "BRDF rays count lights they meet, weighted against the light rays: less noise in gloss. Off: the two stages of the paper",
     )
-    roulette: bool = setting(
-        True, label="Russian Roulette", help="End weak rays at random beyond the surfaces that split; the result stays unbiased"
-    )
-    depth_of_field: bool = setting(True, label="Depth of Field", help="Start rays from the lens of the camera where it has one")
+    roulette: bool = common.roulette("weak rays at random beyond the surfaces that split")
+    depth_of_field: bool = setting(True, "Depth of Field", "Start rays from the lens of the camera where it has one")
 
 
 @register
@@ -83,21 +75,21 @@ class Distribution(Solver):
         id="distribution",
         number=6,
         label="Distribution Ray Tracing",
-        strategies=(Strategy.GATHERING,),
-        natures=(Nature.NONDETERMINISTIC,),
+        strategies=GATHERING,
+        natures=NONDETERMINISTIC,
         year=1984,
         authors="R. L. Cook, T. Porter, L. Carpenter",
         title="Distributed Ray Tracing",
         equation="Lo = Le + 1/n sum fr Le cos theta / p_light + 1/m sum fr Lr cos theta / p_brdf  (5)",
         section="6.1",
         idea="Recursive ray tracing with bundles of rays: over the lights, over the BRDF and over the lens.",
-        limits=(
-            "The number of rays grows with the power of the split depth",
-            "Noise falls only with the square root of the time where the numbers are independent",
-            "Caustics of small lights are noisy: only BRDF rays find them",
-            "Depth of field has a round aperture; motion blur is not computed",
-        ),
-        lobes=bsdf.ALL_LOBES | {"emission"},
+        lobes=ALL_LOBES,
+        limits=lines("""
+            The number of rays grows with the power of the split depth
+            Noise falls only with the square root of the time where the numbers are independent
+            Caustics of small lights are noisy: only BRDF rays find them
+            Depth of field has a round aperture; motion blur is not computed
+        """),
     )
     Settings = DistributionSettings
 

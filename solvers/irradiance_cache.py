@@ -21,10 +21,12 @@ import numpy as np
 from ..adjoint_gi.core.base import settings as base
 from ..adjoint_gi.core.base.parallel import in_order
 from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.bsdf.lobes import DIFFUSE_LOBES
 from ..adjoint_gi.core.bsdf.table import BsdfTable, frame
 from ..adjoint_gi.core.lights.direct import direct_irradiance
 from ..adjoint_gi.core.lights.emitters import Emitters
-from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method import common_settings as common
+from ..adjoint_gi.core.method.registry import GATHERING, NONDETERMINISTIC, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import Surface, World
@@ -43,24 +45,17 @@ class CacheSettings(base.Settings):
 
     accuracy: float = setting(
         0.25,
-        label="Accuracy",
-        help="Largest error a cached value may have where it is used; the error falls with it",
+        "Accuracy",
+        "Largest error a cached value may have where it is used; the error falls with it",
         min=0.001,
         max=2.0,
         soft_max=0.5,
     )
-    rays: int = setting(512, label="Rays", help="Rays over the hemisphere of each cached value", min=16, max=65536, soft_max=4096)
-    gradients: bool = setting(
-        True, label="Gradients", help="Extrapolate each value by its rotation and translation gradients (Ward and Heckbert)"
-    )
-    light_samples: int = setting(8, label="Light Samples", help="Light points for direct light at each point", min=1, max=4096, soft_max=64)
+    rays: int = setting(512, "Rays", "Rays over the hemisphere of each cached value", min=16, max=65536, soft_max=4096)
+    gradients: bool = setting(True, "Gradients", "Extrapolate each value by its rotation and translation gradients (Ward and Heckbert)")
+    light_samples: int = common.light_samples(8, "Light points for direct light at each point")
     min_spacing: float = setting(
-        0.01,
-        label="Min Spacing",
-        help="Smallest radius of a cached value, as a share of the scene's size",
-        min=1e-6,
-        max=1.0,
-        soft_max=0.1,
+        0.01, "Min Spacing", "Smallest radius of a cached value, as a share of the scene's size", min=1e-6, max=1.0, soft_max=0.1
     )
 
 
@@ -72,19 +67,19 @@ class IrradianceCache(Solver):
         id="irradiance_cache",
         number=7,
         label="Irradiance Caching",
-        strategies=(Strategy.GATHERING,),
-        natures=(Nature.NONDETERMINISTIC,),
+        strategies=GATHERING,
+        natures=NONDETERMINISTIC,
         year=1988,
         authors="G. J. Ward, F. M. Rubinstein, R. D. Clear",
         title="A Ray Tracing Solution for Diffuse Interreflection",
         equation="int fr Lr cos dw = fd * irradiance, interpolated between cached points",
         section="6.1",
         idea="Indirect irradiance is computed at a few points, as far apart as their surroundings allow, and interpolated between them.",
-        limits=(
-            "Receivers are diffuse: other lobes there are taken as diffuse; paths beyond them see all lobes",
-            "Interpolation leaves smooth blotches where rays are few; they fall with Accuracy and Rays together",
-        ),
-        lobes=frozenset({"diffuse", "emission"}),
+        lobes=DIFFUSE_LOBES,
+        limits=lines("""
+            Receivers are diffuse: other lobes there are taken as diffuse; paths beyond them see all lobes
+            Interpolation leaves smooth blotches where rays are few; they fall with Accuracy and Rays together
+        """),
         allowance=0.02,
     )
     Settings = CacheSettings

@@ -26,7 +26,8 @@ from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf.table import BsdfTable
 from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.lights.light_points import LightPoints, phong_lobe
-from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method import common_settings as common
+from ..adjoint_gi.core.method.registry import DETERMINISTIC, GATHERING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import Surface, World
@@ -44,18 +45,10 @@ MODELS = (
 class LocalSettings(base.Settings):
     """Settings of local illumination."""
 
-    model: str = setting("cook", label="Model", help="Which reflection model shades the surfaces", choices=MODELS)
-    ambient: float = setting(
-        0.0, label="Ambient Radiance", help="Uniform radiance that stands for all indirect light, W/m2/sr", min=0.0, max=1e9, soft_max=10.0
-    )
-    shadows: bool = setting(True, label="Shadows", help="Light elements that something hides do not count")
-    light_points: int = setting(
-        16,
-        label="Light Points",
-        help="Differential elements that stand for each lamp with a size and for all emissive surfaces",
-        min=1,
-        max=4096,
-    )
+    model: str = setting("cook", "Model", "Which reflection model shades the surfaces", choices=MODELS)
+    ambient: float = common.ambient_radiance("all")
+    shadows: bool = setting(True, "Shadows", "Light elements that something hides do not count")
+    light_points: int = common.light_points(16)
 
 
 @register
@@ -66,21 +59,21 @@ class LocalIllumination(Solver):
         id="local_illumination",
         number=1,
         label="Local Illumination",
-        strategies=(Strategy.GATHERING,),
-        natures=(Nature.DETERMINISTIC,),
+        strategies=GATHERING,
+        natures=DETERMINISTIC,
         year=1970,
         authors="W. J. Bouknight; B. T. Phong; R. L. Cook, K. E. Torrance",
         title="A Procedure for Generation of Three-Dimensional Half-Toned Computer Graphics Presentations",
         equation="Lo = Le + rho_a L_a + sum_j fr Le(j) cos theta(j) dw(j)  (6)",
         section="5.1",
         idea="Only the light sources light a surface, as a few points each; one constant stands for everything else.",
-        limits=(
-            "No interreflection: indirect light is one constant, the ambient radiance",
-            "Soft shadows are as many hard ones as there are light points",
-            "Roughness maps to the exponent (2 / r^4 - 2) / 4 of a cosine lobe; mirrors and glass reflect only highlights",
-            "Light of the world arrives only through the ambient radiance",
-        ),
         lobes=frozenset({"diffuse", "emission", "glossy", "metallic", "specular"}),
+        limits=lines("""
+            No interreflection: indirect light is one constant, the ambient radiance
+            Soft shadows are as many hard ones as there are light points
+            Roughness maps to the exponent (2 / r^4 - 2) / 4 of a cosine lobe; mirrors and glass reflect only highlights
+            Light of the world arrives only through the ambient radiance
+        """),
         leaves_out="interreflection",
     )
     Settings = LocalSettings

@@ -20,8 +20,10 @@ import numpy as np
 
 from ..adjoint_gi.core.base.resources import require_within
 from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.bsdf.lobes import DIFFUSE_LOBES
 from ..adjoint_gi.core.elements.answer import element_count
-from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method import common_settings as common
+from ..adjoint_gi.core.method.registry import DETERMINISTIC, GATHERING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.radiosity.element_run import Found, RadiosityRun
 from ..adjoint_gi.core.radiosity.factor_matrix import FactorMatrix, bytes_needed
@@ -31,37 +33,19 @@ from ..adjoint_gi.core.radiosity.trapped import refuse_trapped
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import World
 
-TARGET = 2000  # elements where max_edge is chosen
-
 
 @dataclass(frozen=True)
 class MatrixSettings(RadiositySettings):
     """Settings of full-matrix radiosity."""
 
-    rays: int = setting(
-        1024, label="Rays per Element", help="Rays that each element casts to find its form factors", min=1, max=1 << 20, soft_max=16384
-    )
+    rays: int = common.element_rays(1024, "Rays that each element casts to find its form factors")
     closed_forms: bool = setting(
-        True, label="Closed Forms", help="Exact form factors for rectangles with common axes where test rays find nothing between them"
+        True, "Closed Forms", "Exact form factors for rectangles with common axes where test rays find nothing between them"
     )
-    solver: str = setting(
-        "gauss_seidel",
-        label="Solver",
-        help="How the linear system is relaxed",
-        choices=(
-            ("gauss_seidel", "Gauss-Seidel", "Uses new values at once; about half the iterations"),
-            ("jacobi", "Jacobi", "Each iteration adds one bounce"),
-        ),
-    )
-    tolerance: float = setting(
-        1e-6, label="Tolerance", help="Relative change of the irradiance at which the system is solved", min=0.0, max=1.0
-    )
-    max_iterations: int = setting(
-        1000, label="Max Iterations", help="The solver gives up, and says so, after this many", min=1, max=100_000
-    )
-    memory_limit: int = setting(
-        2048, label="Memory Limit (MB)", help="The method does not start when its matrix could need more than this", min=1, max=1 << 20
-    )
+    solver: str = common.relaxation("Solver", "How the linear system is relaxed", "Uses new values at once; about half the iterations")
+    tolerance: float = common.tolerance(1e-6, "Relative change of the irradiance at which the system is solved")
+    max_iterations: int = common.max_iterations(1000, "The solver gives up, and says so, after this many")
+    memory_limit: int = common.memory_limit()
 
 
 @register
@@ -72,33 +56,29 @@ class MatrixRadiosity(Solver):
         id="matrix_radiosity",
         number=3,
         label="Full-Matrix Radiosity",
-        strategies=(Strategy.GATHERING,),
-        natures=(Nature.DETERMINISTIC,),
+        strategies=GATHERING,
+        natures=DETERMINISTIC,
         year=1984,
         authors="C. M. Goral, K. E. Torrance, D. P. Greenberg, B. Battaile",
         title="Modeling the Interaction of Light Between Diffuse Surfaces",
         equation="B(i) = E(i) + rho(i) sum_j F(ij) B(j)  (10, 11)",
         section="5.2",
         idea="Every element gathers from all others; the form factors make one linear system, which is relaxed.",
-        limits=(
-            "Diffuse surfaces only: other lobes are taken as diffuse",
-            "Memory grows with the square of the elements; refused over the memory limit",
-            "Indirect shadows are as sharp as the elements are small",
-            "Path lengths are cut out of the full solution, so a short maximum saves no time",
-            "Light that is trapped between surfaces of albedo 1 has no solution and is refused",
-        ),
-        lobes=frozenset({"diffuse", "emission"}),
-        uses_elements=True,
+        lobes=DIFFUSE_LOBES,
+        limits=lines("""
+            Diffuse surfaces only: other lobes are taken as diffuse
+            Memory grows with the square of the elements; refused over the memory limit
+            Indirect shadows are as sharp as the elements are small
+            Path lengths are cut out of the full solution, so a short maximum saves no time
+            Light that is trapped between surfaces of albedo 1 has no solution and is refused
+        """),
+        elements=2000,
     )
     Settings = MatrixSettings
 
-    def element_target(self, settings: MatrixSettings) -> int:
-        """Elements wanted where max_edge is 0."""
-        return TARGET
-
     def memory(self, world: World, receivers: Receivers, settings: MatrixSettings) -> int:
         """At most this: as if light reached both sides of every element."""
-        count = element_count(world, receivers, settings.max_edge, TARGET)
+        count = element_count(world, receivers, settings.max_edge, self.spec.elements)
         return bytes_needed(2 * count, settings.rays) + 600 * count + 100 * receivers.count
 
     def solve(self, world: World, receivers: Receivers, settings: MatrixSettings, rng: np.random.Generator) -> Iterator[Step]:

@@ -24,12 +24,13 @@ import numpy as np
 from ..adjoint_gi.core.base.errors import Notice
 from ..adjoint_gi.core.base.parallel import thread_count
 from ..adjoint_gi.core.base.settings import NO_LIMIT, setting
-from ..adjoint_gi.core.bsdf import table as bsdf
+from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES
 from ..adjoint_gi.core.elements.answer import ElementAnswer, Parts, element_count, elements_for
 from ..adjoint_gi.core.elements.elements import Elements
 from ..adjoint_gi.core.elements.rays import ElementRays
 from ..adjoint_gi.core.lights.emitters import Emitters
-from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method import common_settings as common
+from ..adjoint_gi.core.method.registry import BOTH_NATURES, SHOOTING_THEN_GATHERING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Solution, Step
 from ..adjoint_gi.core.radiosity.lamp_light import LampLight, dark_notices, receiver_light
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
@@ -45,7 +46,6 @@ from ..adjoint_gi.core.walks.gathering import BATCH, Run
 from ..adjoint_gi.core.walks.mirror_chains import Chains
 from ..adjoint_gi.core.walks.radiance import Walk
 
-TARGET = 4000  # elements where max_edge is chosen
 FIRST = 0.3  # share of the progress that radiosity takes
 SHOTS = 1 << 14  # rays of the sides that shoot together, at least; each may become a chain of many
 PRIOR = 4.0  # samples that the first answer is worth at the start of the second pass
@@ -55,45 +55,24 @@ PRIOR = 4.0  # samples that the first answer is worth at the start of the second
 class MultiPassSettings(RadiositySettings):
     """Settings of the multi-pass method; the seed matters only to the second pass."""
 
-    direct_light: str = setting(
-        "receivers",
-        label="Partial Direct Light",
-        help="Where partial results have their direct light from until samples come in; the finished result has it from the receivers",
-        choices=(
-            ("receivers", "At Receivers", "At every texel, vertex or pixel: sharp shadows from the start, which is then a little later"),
-            ("elements", "On Elements", "On the elements: the first picture comes soonest"),
-        ),
+    direct_light: str = common.direct_light(
+        "At every texel, vertex or pixel: sharp shadows from the start, which is then a little later",
+        "On the elements: the first picture comes soonest",
+        "Partial Direct Light",
+        "Where partial results have their direct light from until samples come in; the finished result has it from the receivers",
     )
-    rays: int = setting(
-        1_000_000,
-        label="Rays",
-        help="Rays that carry all emitted flux in the first pass; a shot takes its share of them, and never fewer than 8",
-        min=1,
-        max=2_000_000_000,
-        soft_max=100_000_000,
+    rays: int = common.shooting_rays(
+        1_000_000, "Rays that carry all emitted flux in the first pass; a shot takes its share of them, and never fewer than 8"
     )
-    tolerance: float = setting(
-        1e-3, label="Tolerance", help="Unshot share of the emitted flux at which the first pass ends", min=0.0, max=1.0
-    )
-    max_shots: int = setting(
-        1_000_000, label="Max Shots", help="The first pass ends, and says so, after this many shots", min=1, max=2_000_000_000
-    )
-    depth: int = setting(16, label="Mirror Depth", help="Mirrors in a row that first-pass light goes over", min=0, max=256)
-    particles: int = setting(
-        200_000,
-        label="Caustic Particles",
-        help="Particles from lamps and background for their light on elements over mirrors; 0 leaves this light out",
-        min=0,
-        max=1_000_000_000,
-        soft_max=10_000_000,
-    )
-    samples: int = setting(
-        64, label="Samples", help="Second-pass samples of each texel, vertex or pixel", min=1, max=1 << 24, soft_max=4096, effort=True
-    )
+    tolerance: float = common.unshot(1e-3, "the first pass")
+    max_shots: int = common.max_shots(1_000_000, "The first pass")
+    depth: int = common.mirror_depth("Mirrors in a row that first-pass light goes over")
+    particles: int = common.caustic_particles(200_000)
+    samples: int = common.samples(64, "Second-pass samples of each texel, vertex or pixel")
     hops: int = setting(
         1,
-        label="Traced Bounces",
-        help="Diffuse or rough surfaces in a row that are sampled before the known radiosity is read; more is slower and nearer to exact",
+        "Traced Bounces",
+        "Diffuse or rough surfaces in a row that are sampled before the known radiosity is read; more is slower and nearer to exact",
         min=1,
         max=64,
         soft_max=4,
@@ -108,32 +87,28 @@ class MultiPass(Solver):
         id="multi_pass",
         number=12,
         label="Progressive Multi-Pass",
-        strategies=(Strategy.SHOOTING, Strategy.GATHERING),
-        natures=(Nature.DETERMINISTIC, Nature.NONDETERMINISTIC),
+        strategies=SHOOTING_THEN_GATHERING,
+        natures=BOTH_NATURES,
         year=1991,
         authors="S. E. Chen, H. E. Rushmeier, G. Miller, D. Turner",
         title="A Progressive Multi-Pass Method for Global Illumination",
         equation="W = g + T* W first, then L = Le + T L  (2, then 1)",
         section="5.2.1 and 7",
         idea="Progressive radiosity gives a picture at once; path tracing then replaces what it cannot resolve, and reads it further off.",
-        limits=(
-            "Radiosity read at later surfaces is as exact as the elements are small: a small bias, less with more traced bounces",
-            "Caustics of lamps without size are as sharp as the elements are small",
-            "With bounded path lengths the second pass traces whole paths and reads no radiosity",
-            "Partial results of the first pass show mirrors as diffuse",
-        ),
-        lobes=bsdf.ALL_LOBES | {"emission"},
-        uses_elements=True,
+        lobes=ALL_LOBES,
+        limits=lines("""
+            Radiosity read at later surfaces is as exact as the elements are small: a small bias, less with more traced bounces
+            Caustics of lamps without size are as sharp as the elements are small
+            With bounded path lengths the second pass traces whole paths and reads no radiosity
+            Partial results of the first pass show mirrors as diffuse
+        """),
+        elements=4000,
     )
     Settings = MultiPassSettings
 
-    def element_target(self, settings: MultiPassSettings) -> int:
-        """Elements wanted where max_edge is 0."""
-        return TARGET
-
     def memory(self, world: World, receivers: Receivers, settings: MultiPassSettings) -> int:
         """Elements, rays under way, receivers in both passes and their points."""
-        count = element_count(world, receivers, settings.max_edge, TARGET)
+        count = element_count(world, receivers, settings.max_edge, self.spec.elements)
         sides = 2 * 3 * 8 * (30 + settings.depth)
         return count * (700 + sides) + 900 * LARGEST_BATCH + 1200 * receivers.count + 600 * BATCH * thread_count()
 
@@ -141,7 +116,7 @@ class MultiPass(Solver):
         """Yield after every group of shots, then about ten times a second."""
         emitters = Emitters(world)
         run = Run(self.spec, world, receivers, settings, emitters)
-        blend = _Blend(run, elements_for(world, receivers, settings.max_edge, TARGET), emitters)
+        blend = _Blend(run, elements_for(world, receivers, settings.max_edge, self.spec.elements), emitters)
 
         # 1. W = g + T* W (Eq. 2): progressive radiosity.
         for share, text in blend.radiosity():

@@ -27,13 +27,15 @@ import numpy as np
 from ..adjoint_gi.core.base import settings as base
 from ..adjoint_gi.core.base.errors import Notice
 from ..adjoint_gi.core.base.parallel import in_order, thread_count
-from ..adjoint_gi.core.base.settings import setting
-from ..adjoint_gi.core.bsdf.table import ALL_LOBES, KINDS, BsdfTable
+from ..adjoint_gi.core.base.settings import choice
+from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES
+from ..adjoint_gi.core.bsdf.table import KINDS, BsdfTable
 from ..adjoint_gi.core.elements.answer import elements_for
 from ..adjoint_gi.core.flux.tally import Batch, ElementScore, ReceiverScore, Tally
 from ..adjoint_gi.core.lights.emission import Emission
+from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.clock import Clock
-from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method.registry import NONDETERMINISTIC, SHOOTING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Solution, Step
 from ..adjoint_gi.core.receivers.base import Receivers, SurfaceReceivers
 from ..adjoint_gi.core.scene.world import World
@@ -50,39 +52,17 @@ FEWEST, MOST = 500, 50_000  # elements chosen automatically
 class ParticleSettings(base.Settings):
     """Settings of particle tracing."""
 
-    particles: int = setting(
-        1_000_000,
-        label="Particles",
-        help="Particles shot from all lights together; four times as many halve the noise",
-        min=1,
-        max=2_000_000_000,
-        soft_max=100_000_000,
-        effort=True,
-    )
-    max_edge: float = setting(
-        0.0,
-        label="Max Element Edge",
-        help="Longest edge of the elements that collect particles; 0 chooses it by the number of particles",
-        min=0.0,
-        max=1e6,
-        unit="distance",
-    )
-    score: str = setting(
+    particles: int = common.particles(1_000_000, "Particles shot from all lights together; four times as many halve the noise")
+    max_edge: float = common.max_edge("Longest edge of the elements that collect particles; 0 chooses it by the number of particles")
+    score: str = choice(
         "elements",
-        label="Count Particles",
-        help="Where particles are counted",
-        choices=(
-            ("elements", "On Elements", "On elements of the surfaces, with the answer interpolated between them"),
-            ("receivers", "At Receivers", "Around every texel or vertex, by density over area; a camera takes elements"),
-        ),
+        "Count Particles",
+        "Where particles are counted",
+        elements=("On Elements", "On elements of the surfaces, with the answer interpolated between them"),
+        receivers=("At Receivers", "Around every texel or vertex, by density over area; a camera takes elements"),
     )
-    radius: float = setting(
-        0.0,
-        label="Radius",
-        help="Within which particles count for a receiver, when they are counted at receivers; 0 chooses it by their number",
-        min=0.0,
-        max=1e6,
-        unit="distance",
+    radius: float = common.distance(
+        "Radius", "Within which particles count for a receiver, when they are counted at receivers; 0 chooses it by their number"
     )
 
 
@@ -94,21 +74,21 @@ class ParticleTracing(Solver):
         id="particle_tracing",
         number=11,
         label="Particle Tracing",
-        strategies=(Strategy.SHOOTING,),
-        natures=(Nature.NONDETERMINISTIC,),
+        strategies=SHOOTING,
+        natures=NONDETERMINISTIC,
         year=1992,
         authors="S. N. Pattanaik, S. P. Mudur",
         title="Computation of Global Illumination by Monte Carlo Simulation of the Particle Model of Light",
         equation="Phi = <W, Le> = E / n sum_i [ g(x_i0) + sum_k g(x_ik) ]  (15)",
         section="8",
         idea="Particles of equal power leave the lights, are absorbed or reflected at random, and are counted where they arrive.",
-        limits=(
-            "What is found is irradiance: to a camera, glossy and mirror surfaces reflect it as diffuse ones would",
-            "Shadows and caustics are as sharp as the elements are small, or as the radius at receivers",
-            "Noise is highest where few particles arrive, such as small and dark corners",
-        ),
-        lobes=ALL_LOBES | {"emission"},
-        uses_elements=True,
+        lobes=ALL_LOBES,
+        limits=lines("""
+            What is found is irradiance: to a camera, glossy and mirror surfaces reflect it as diffuse ones would
+            Shadows and caustics are as sharp as the elements are small, or as the radius at receivers
+            Noise is highest where few particles arrive, such as small and dark corners
+        """),
+        elements=1_000_000 // PER_ELEMENT,
     )
     Settings = ParticleSettings
 

@@ -27,9 +27,11 @@ from ..adjoint_gi.core.base import settings as base
 from ..adjoint_gi.core.base.errors import Notice
 from ..adjoint_gi.core.base.parallel import in_order, thread_count
 from ..adjoint_gi.core.base.settings import setting
-from ..adjoint_gi.core.bsdf.table import ALL_LOBES, BsdfTable
+from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES
+from ..adjoint_gi.core.bsdf.table import BsdfTable
 from ..adjoint_gi.core.lights.emitters import Emitters
-from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method import common_settings as common
+from ..adjoint_gi.core.method.registry import GATHERING, NONDETERMINISTIC, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.receivers.film import read_surfaces
@@ -46,39 +48,20 @@ MOST_SAMPLES = 16  # of one receiver in a batch
 class PathSettings(base.Settings):
     """Settings of path tracing."""
 
-    samples: int = setting(
-        256,
-        label="Samples",
-        help="Paths from each texel, vertex or pixel; four times as many halve the noise. Powers of two are best",
-        min=1,
-        max=1 << 24,
-        soft_max=4096,
-        effort=True,
-    )
-    roulette: bool = setting(True, label="Russian Roulette", help="End paths at random once they carry little; the result stays unbiased")
+    samples: int = common.samples(256, "Paths from each texel, vertex or pixel; four times as many halve the noise. Powers of two are best")
+    roulette: bool = common.roulette("paths at random once they carry little")
     roulette_length: int = setting(
-        3,
-        label="Roulette From",
-        help="Path length from which paths may end at random; shorter paths never do",
-        min=1,
-        max=1024,
-        soft_max=16,
+        3, "Roulette From", "Path length from which paths may end at random; shorter paths never do", min=1, max=1024, soft_max=16
     )
     light_importance: bool = setting(
-        True,
-        label="Importance over Lights",
-        help="Draw points on the lights by their power. Off: paths meet lights by chance",
+        True, "Importance over Lights", "Draw points on the lights by their power. Off: paths meet lights by chance"
     )
-    lobe_importance: bool = setting(True, label="Importance over Lobes", help="Draw directions by the BRDF. Off: evenly over all")
+    lobe_importance: bool = setting(True, "Importance over Lobes", "Draw directions by the BRDF. Off: evenly over all")
     joined: bool = setting(
-        True,
-        label="Join Both",
-        help="Weigh light points against lights that paths meet. Off: light points alone, where they are on",
+        True, "Join Both", "Weigh light points against lights that paths meet. Off: light points alone, where they are on"
     )
     stratified: bool = setting(
-        True,
-        label="Stratified",
-        help="Sobol numbers for the first surfaces of paths in diffuse scenes. Off: independent numbers",
+        True, "Stratified", "Sobol numbers for the first surfaces of paths in diffuse scenes. Off: independent numbers"
     )
 
     @property
@@ -95,19 +78,19 @@ class PathTracing(Solver):
         id="path_tracing",
         number=8,
         label="Path Tracing",
-        strategies=(Strategy.GATHERING,),
-        natures=(Nature.NONDETERMINISTIC,),
+        strategies=GATHERING,
+        natures=NONDETERMINISTIC,
         year=1986,
         authors="J. T. Kajiya",
         title="The Rendering Equation",
         equation="<Lo(x)> = Le(x) + Le(x') + Le(x'') + ...  (12)",
         section="6.2",
         idea="A path takes one random direction at each surface and adds up the emission it meets; the mean of many is the solution.",
-        limits=(
-            "Caustics of small lights are noisy: only paths that meet the light find them",
-            "Noise falls only with the square root of the time, and is highest where light arrives through small openings",
-        ),
-        lobes=ALL_LOBES | {"emission"},
+        lobes=ALL_LOBES,
+        limits=lines("""
+            Caustics of small lights are noisy: only paths that meet the light find them
+            Noise falls only with the square root of the time, and is highest where light arrives through small openings
+        """),
     )
     Settings = PathSettings
 

@@ -29,16 +29,18 @@ import numpy as np
 from ..adjoint_gi.core.base import settings as base
 from ..adjoint_gi.core.base.errors import MemoryRefused, Notice
 from ..adjoint_gi.core.base.parallel import in_order
-from ..adjoint_gi.core.base.settings import setting
-from ..adjoint_gi.core.bsdf.table import ALL_LOBES, BsdfTable
+from ..adjoint_gi.core.base.settings import choice, setting
+from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES
+from ..adjoint_gi.core.bsdf.table import BsdfTable
 from ..adjoint_gi.core.elements.answer import ElementAnswer, element_count, elements_for
 from ..adjoint_gi.core.elements.rays import ElementRays
 from ..adjoint_gi.core.flux.detectors import Detector, FaceDetector, Flux, detector, flux_by_particles, flux_by_potential
 from ..adjoint_gi.core.lights.emission import Particles
 from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.lights.outgoing import cosine_directions
+from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.clock import Clock
-from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method.registry import BOTH_NATURES, SHOOTING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Solution, Step
 from ..adjoint_gi.core.radiosity.factor_matrix import FactorMatrix, bytes_needed
 from ..adjoint_gi.core.radiosity.lamp_light import LampLight
@@ -50,7 +52,6 @@ from ..adjoint_gi.core.walks.gathering import Run
 from ..adjoint_gi.core.walks.particles import Hits, walk
 from ..adjoint_gi.core.walks.radiance import Gathered
 
-TARGET = 1500  # elements where max_edge is chosen
 WALKS = 1 << 14  # walks in a batch
 GROUP = 64  # sides that shoot together
 LIGHT_SAMPLES = 8  # for the flux of lamps by Eq. 4
@@ -61,75 +62,50 @@ FLUX_PARTICLES = 1 << 16  # for the flux by Eq. 15
 class PotentialSettings(base.Settings):
     """Settings of the potential."""
 
-    max_length: int = setting(
-        1024,
-        label="Max Path Length",
-        help="Most flights on the way to the receivers that count; 0 leaves only what is emitted by the receivers themselves",
-        min=0,
-        max=1024,
-        soft_max=64,
+    max_length: int = common.max_length(
+        "Most flights on the way to the receivers that count; 0 leaves only what is emitted by the receivers themselves"
     )
-    receivers: str = setting(
+    receivers: str = choice(
         "camera",
-        label="Receivers",
-        help="The set of points and directions whose flux matters",
-        choices=(
-            ("camera", "Camera View", "Light that reaches the camera through its picture"),
-            ("objects", "Objects", "Light that leaves the objects named below"),
-            ("faces", "Selected Faces", "Light that leaves the selected faces, of the objects named below or of all"),
-        ),
+        "Receivers",
+        "The set of points and directions whose flux matters",
+        camera=("Camera View", "Light that reaches the camera through its picture"),
+        objects=("Objects", "Light that leaves the objects named below"),
+        faces=("Selected Faces", "Light that leaves the selected faces, of the objects named below or of all"),
     )
-    objects: str = setting("", label="Objects", help="Names of the objects that receive, separated by commas")
+    objects: str = setting("", "Objects", "Names of the objects that receive, separated by commas")
     both_sides: bool = setting(
-        False, label="Both Sides", help="Faces receive on both sides, as open sheets do; else on their front, which closed objects need"
+        False, "Both Sides", "Faces receive on both sides, as open sheets do; else on their front, which closed objects need"
     )
-    solution: str = setting(
+    solution: str = choice(
         "relaxation",
-        label="Solution",
-        help="How the potential equation is solved",
-        choices=(
-            ("relaxation", "Relaxation", "Deterministic: the linear system of the elements, diffuse surfaces"),
-            ("walks", "Random Walks", "Nondeterministic: walks that are absorbed or scattered at random, all surfaces"),
-        ),
+        "Solution",
+        "How the potential equation is solved",
+        relaxation=("Relaxation", "Deterministic: the linear system of the elements, diffuse surfaces"),
+        walks=("Random Walks", "Nondeterministic: walks that are absorbed or scattered at random, all surfaces"),
     )
-    scheme: str = setting(
+    scheme: str = choice(
         "jacobi",
-        label="Scheme",
-        help="How the linear system is relaxed",
-        choices=(
-            ("jacobi", "Jacobi", "All elements at once; each iteration adds one reflection"),
-            ("southwell", "Southwell", "The elements with the most potential left to pass on, first"),
-        ),
+        "Scheme",
+        "How the linear system is relaxed",
+        jacobi=("Jacobi", "All elements at once; each iteration adds one reflection"),
+        southwell=("Southwell", "The elements with the most potential left to pass on, first"),
     )
-    factors: str = setting(
+    factors: str = choice(
         "matrix",
-        label="Form Factors",
-        help="How the form factors between elements are found and kept",
-        choices=(
-            ("matrix", "Matrix", "All of them: closed forms where they hold, rays elsewhere; memory grows with the square of the elements"),
-            ("rays", "Rays", "A fixed set of rays from each element"),
-        ),
+        "Form Factors",
+        "How the form factors between elements are found and kept",
+        matrix=("Matrix", "All of them: closed forms where they hold, rays elsewhere; memory grows with the square of the elements"),
+        rays=("Rays", "A fixed set of rays from each element"),
     )
-    rays: int = setting(
-        1024, label="Rays per Element", help="Rays that find the form factors of an element", min=1, max=1 << 20, soft_max=16384
+    rays: int = common.element_rays(1024, "Rays that find the form factors of an element")
+    max_edge: float = common.max_edge("Longest edge of the elements; 0 chooses it")
+    tolerance: float = common.tolerance(1e-6, "Share of the potential at which relaxation ends")
+    max_iterations: int = common.max_iterations(1000, "Relaxation gives up, and says so, after these")
+    samples: int = common.samples(
+        256, "Walks from each texel, vertex, pixel or element side; for the camera, that many for each element side in all", label="Walks"
     )
-    max_edge: float = setting(
-        0.0, label="Max Element Edge", help="Longest edge of the elements; 0 chooses it", min=0.0, max=1e6, unit="distance"
-    )
-    tolerance: float = setting(1e-6, label="Tolerance", help="Share of the potential at which relaxation ends", min=0.0, max=1.0)
-    max_iterations: int = setting(1000, label="Max Iterations", help="Relaxation gives up, and says so, after these", min=1, max=100_000)
-    samples: int = setting(
-        256,
-        label="Walks",
-        help="Walks from each texel, vertex, pixel or element side; for the camera, that many for each element side in all",
-        min=1,
-        max=1 << 24,
-        soft_max=4096,
-        effort=True,
-    )
-    memory_limit: int = setting(
-        2048, label="Memory Limit (MB)", help="The method does not start when its matrix could need more than this", min=1, max=1 << 20
-    )
+    memory_limit: int = common.memory_limit()
 
 
 @register
@@ -140,35 +116,31 @@ class Potential(Solver):
         id="potential",
         number=13,
         label="Potential",
-        strategies=(Strategy.SHOOTING,),
-        natures=(Nature.DETERMINISTIC, Nature.NONDETERMINISTIC),
+        strategies=SHOOTING,
+        natures=BOTH_NATURES,
         year=1993,
         authors="S. N. Pattanaik, S. P. Mudur",
         title="The Potential Equation and Importance in Illumination Computations",
         equation="W(i) = g(i) + sum_j rho(j) F(ij) W(j), Phi = pi sum Le A W  (2, 4, 14)",
         section="3",
         idea="The adjoint of radiance: how much of the light that a place emits reaches the chosen receivers.",
-        limits=(
-            "Answers the potential, not light: bake it as the quantity potential",
-            "Relaxation takes all surfaces as diffuse; the mean over the hemisphere is what it knows of directions",
-            "A matrix of form factors grows with the square of the elements; refused over the memory limit",
-            "Potential for the camera is found on elements, and is as sharp as they are small",
-        ),
-        lobes=ALL_LOBES | {"emission"},
-        uses_elements=True,
+        lobes=ALL_LOBES,
+        limits=lines("""
+            Answers the potential, not light: bake it as the quantity potential
+            Relaxation takes all surfaces as diffuse; the mean over the hemisphere is what it knows of directions
+            A matrix of form factors grows with the square of the elements; refused over the memory limit
+            Potential for the camera is found on elements, and is as sharp as they are small
+        """),
+        elements=1500,
         answers="potential",
     )
     Settings = PotentialSettings
-
-    def element_target(self, settings: PotentialSettings) -> int:
-        """Elements wanted where max_edge is 0."""
-        return TARGET
 
     def memory(self, world: World, receivers: Receivers, settings: PotentialSettings) -> int:
         """The matrix or the rays of the elements, their fields, and the receivers' points; of walks only what is under way."""
         if settings.solution == "walks" and settings.receivers != "camera":
             return receivers.count * 500 + (64 << 20)
-        count = element_count(world, receivers, settings.max_edge, TARGET)
+        count = element_count(world, receivers, settings.max_edge, self.spec.elements)
         system = 0
         if settings.solution == "relaxation":
             system = bytes_needed(2 * count, settings.rays) if settings.factors == "matrix" else 2 * count * settings.rays * 40
@@ -195,7 +167,7 @@ class _OnElements:
         self, solver: Solver, world: World, places: Receivers, settings: PotentialSettings, detect: Detector, rng: np.random.Generator
     ) -> None:
         self.solver, self.world, self.places, self.settings, self.detect, self.rng = solver, world, places, settings, detect, rng
-        self.elements = elements_for(world, places, settings.max_edge, TARGET)
+        self.elements = elements_for(world, places, settings.max_edge, solver.spec.elements)
         self.answer = ElementAnswer(self.elements, places)
         self.lamps = LampLight(self.elements, Emitters(world), LIGHT_SAMPLES)
         self.parts = np.zeros((3, 2 * self.elements.count, 3))

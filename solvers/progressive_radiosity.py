@@ -20,13 +20,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..adjoint_gi.core.base.settings import NO_LIMIT, setting
+from ..adjoint_gi.core.bsdf.lobes import DIFFUSE_LOBES
 from ..adjoint_gi.core.elements.answer import ElementAnswer, element_count
 from ..adjoint_gi.core.elements.elements import Elements
 from ..adjoint_gi.core.elements.mesh import ElementNodes, element_mesh
 from ..adjoint_gi.core.elements.rays import ElementRays
 from ..adjoint_gi.core.elements.refinement import RefinedElements, smoothed
 from ..adjoint_gi.core.flux.detectors import detector
-from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method import common_settings as common
+from ..adjoint_gi.core.method.registry import DETERMINISTIC, SHOOTING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.radiosity.element_run import Found, RadiosityRun
 from ..adjoint_gi.core.radiosity.importance import GROWTH, PER_SIDE, Subdivision, importance, shoot_emitters
@@ -37,59 +39,37 @@ from ..adjoint_gi.core.radiosity.trapped import Trap
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import World
 
-TARGET = 8000  # elements where max_edge is chosen
-
 
 @dataclass(frozen=True)
 class ProgressiveSettings(RadiositySettings):
     """Settings of progressive radiosity."""
 
-    rays: int = setting(
-        2_000_000,
-        label="Rays",
-        help="Rays that carry all emitted flux; a shot takes its share of them by its flux, and never fewer than 8",
-        min=1,
-        max=2_000_000_000,
-        soft_max=100_000_000,
+    rays: int = common.shooting_rays(
+        2_000_000, "Rays that carry all emitted flux; a shot takes its share of them by its flux, and never fewer than 8"
     )
-    tolerance: float = setting(1e-3, label="Tolerance", help="Unshot share of the emitted flux at which the method ends", min=0.0, max=1.0)
-    max_shots: int = setting(
-        10_000_000, label="Max Shots", help="The method ends, and says so, after this many shots", min=1, max=2_000_000_000
-    )
+    tolerance: float = common.unshot(1e-3)
+    max_shots: int = common.max_shots(10_000_000)
     ambient: bool = setting(
-        True,
-        label="Ambient Estimate",
-        help="Partial results show the unshot light spread evenly, as an estimate; the finished result never has it",
+        True, "Ambient Estimate", "Partial results show the unshot light spread evenly, as an estimate; the finished result never has it"
     )
     adaptive: bool = setting(
-        False,
-        label="Adaptive Subdivision",
-        help="Cut elements into four where direct light changes too much over them, such as at shadow boundaries",
+        False, "Adaptive Subdivision", "Cut elements into four where direct light changes too much over them, such as at shadow boundaries"
     )
     contrast: float = setting(
         0.25,
-        label="Contrast",
-        help="Change of direct light over an element, as a share of its brightest corner, over which it is cut",
+        "Contrast",
+        "Change of direct light over an element, as a share of its brightest corner, over which it is cut",
         min=0.001,
         max=1.0,
     )
-    min_edge: float = setting(
-        0.0,
-        label="Min Element Edge",
-        help="No element is cut to edges shorter than this; 0 takes an eighth of the longest",
-        min=0.0,
-        max=1e6,
-        unit="distance",
-    )
+    min_edge: float = common.distance("Min Element Edge", "No element is cut to edges shorter than this; 0 takes an eighth of the longest")
     important: str = setting(
         "",
-        label="Important Objects",
-        help="Names, separated by commas: subdivision cuts first where light matters to these, by their potential. Empty: everywhere alike",
+        "Important Objects",
+        "Names, separated by commas: subdivision cuts first where light matters to these, by their potential. Empty: everywhere alike",
     )
     overshoot: bool = setting(
-        False,
-        label="Overshooting",
-        help="Shots carry what their element is expected to receive later, too; not with bounded path lengths",
+        False, "Overshooting", "Shots carry what their element is expected to receive later, too; not with bounded path lengths"
     )
 
 
@@ -101,33 +81,33 @@ class ProgressiveRadiosity(Solver):
         id="progressive_radiosity",
         number=9,
         label="Progressive Radiosity",
-        strategies=(Strategy.SHOOTING,),
-        natures=(Nature.DETERMINISTIC,),
+        strategies=SHOOTING,
+        natures=DETERMINISTIC,
         year=1988,
         authors="M. F. Cohen, S. E. Chen, J. R. Wallace, D. P. Greenberg",
         title="A Progressive Refinement Approach to Fast Radiosity Image Generation",
         equation="B(j) += rho(j) dB(i) F(ij) A(i) / A(j)  (13, 14)",
         section="7",
         idea="The element with the most unshot light sends it to all it sees, again and again, so that the brightest light comes first.",
-        limits=(
-            "Diffuse surfaces only: other lobes are taken as diffuse",
-            "Indirect shadows are as sharp as the elements are small",
-            "Sides shoot in groups, brightest first, instead of one by one",
-            "Form factors are shares of rays: elements that few rays meet are uneven",
-            "Subdivision follows direct light; pieces of an element share its indirect light, smoothly",
-        ),
-        lobes=frozenset({"diffuse", "emission"}),
-        uses_elements=True,
+        lobes=DIFFUSE_LOBES,
+        limits=lines("""
+            Diffuse surfaces only: other lobes are taken as diffuse
+            Indirect shadows are as sharp as the elements are small
+            Sides shoot in groups, brightest first, instead of one by one
+            Form factors are shares of rays: elements that few rays meet are uneven
+            Subdivision follows direct light; pieces of an element share its indirect light, smoothly
+        """),
+        elements=8000,
     )
     Settings = ProgressiveSettings
 
     def element_target(self, settings: ProgressiveSettings) -> int:
-        """Elements wanted where max_edge is 0."""
-        return target(settings)
+        """Fewer where they will be cut."""
+        return self.spec.elements // 4 if settings.adaptive else self.spec.elements
 
     def memory(self, world: World, receivers: Receivers, settings: ProgressiveSettings) -> int:
         """Elements, unshot light by path length, rays under way and receivers; it grows linearly with the elements."""
-        count = element_count(world, receivers, settings.max_edge, target(settings))
+        count = element_count(world, receivers, settings.max_edge, self.element_target(settings))
         count *= GROWTH if settings.adaptive else 1
         classes = max(1, settings.max_length) if settings.max_length < NO_LIMIT else max(2, settings.min_length)
         return count * (700 + 2 * 3 * 8 * (6 * classes + 8)) + 600 * LARGEST_BATCH + 100 * receivers.count
@@ -234,8 +214,3 @@ class ProgressiveRun(RadiosityRun):
                 extra = element_mesh(elements, direct + indirect).arrays()
         parts = self.answer.parts(direct, indirect)
         return Found(parts, self.rays + self.transport.count + self.lamps.rays + parts.rays, balance(state), extra)
-
-
-def target(settings: ProgressiveSettings) -> int:
-    """Elements wanted where max_edge is chosen; fewer where they will be cut."""
-    return TARGET // 4 if settings.adaptive else TARGET

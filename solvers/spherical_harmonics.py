@@ -20,19 +20,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..adjoint_gi.core.base.settings import NO_LIMIT, setting
-from ..adjoint_gi.core.bsdf import table as bsdf
+from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES
 from ..adjoint_gi.core.directional.harmonic_shooting import HarmonicShooting
 from ..adjoint_gi.core.directional.harmonics import MOST, HemisphereHarmonics, harmonic_count
 from ..adjoint_gi.core.directional.run import DirectionalRun, leaving
 from ..adjoint_gi.core.elements.answer import element_count
-from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method import common_settings as common
+from ..adjoint_gi.core.method.registry import DETERMINISTIC, SHOOTING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
 from ..adjoint_gi.core.radiosity.southwell import Grouping, Shooting, balance
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import World
 
-TARGET = 2000  # elements where max_edge is chosen
 BATCH = 1 << 16  # rays of the sides that shoot together
 FEWEST, MOST_RAYS = 16, 1 << 16  # rays of one shot
 ENOUGH = 8  # rays for every coefficient, in shots of sides that are not plainly diffuse
@@ -45,27 +45,21 @@ class HarmonicSettings(RadiositySettings):
     """Settings of directional radiance in harmonics."""
 
     order: int = setting(
-        4, label="Order", help="Highest l of the harmonics; 0 is diffuse light only, 8 resolves lobes of about 20 degrees", min=0, max=MOST
+        4, "Order", "Highest l of the harmonics; 0 is diffuse light only, 8 resolves lobes of about 20 degrees", min=0, max=MOST
     )
     window: float = setting(
         0.0,
-        label="Windowing",
-        help="Damps high orders of what lobes reflect, so that less rings and more is blurred; 1 is Lanczos's window",
+        "Windowing",
+        "Damps high orders of what lobes reflect, so that less rings and more is blurred; 1 is Lanczos's window",
         min=0.0,
         max=4.0,
     )
-    rays: int = setting(
+    rays: int = common.shooting_rays(
         1_000_000,
-        label="Rays",
-        help="Rays that carry all emitted flux; a shot takes its share by its flux, at least 16, or 8 for each coefficient if shiny",
-        min=1,
-        max=2_000_000_000,
-        soft_max=100_000_000,
+        "Rays that carry all emitted flux; a shot takes its share by its flux, at least 16, or 8 for each coefficient if shiny",
     )
-    tolerance: float = setting(1e-3, label="Tolerance", help="Unshot share of the emitted flux at which the method ends", min=0.0, max=1.0)
-    max_shots: int = setting(
-        10_000_000, label="Max Shots", help="The method ends, and says so, after this many shots", min=1, max=2_000_000_000
-    )
+    tolerance: float = common.unshot(1e-3)
+    max_shots: int = common.max_shots(10_000_000)
 
 
 @register
@@ -76,35 +70,31 @@ class SphericalHarmonics(Solver):
         id="spherical_harmonics",
         number=10,
         label="Spherical Harmonics",
-        strategies=(Strategy.SHOOTING,),
-        natures=(Nature.DETERMINISTIC,),
+        strategies=SHOOTING,
+        natures=DETERMINISTIC,
         year=1991,
         authors="F. X. Sillion, J. R. Arvo, S. H. Westin, D. P. Greenberg",
         title="A Global Illumination Solution for General Reflectance Distributions",
         equation="L(j, wo) += sum_ab h_a(wo) M_ab dq(j, b)  (13 and 14 by direction)",
         section="7",
         idea="Elements shoot radiance that depends on direction, kept in a few spherical harmonics, brightest first.",
-        limits=(
-            "Lobes narrower than the order resolves are blurred to it and ring: bright reflections have dark rims, windowing weakens them",
-            "Radiance that rings below 0 is shot as it is, so that flux is kept, and is shown as 0",
-            "Mirrors and glass are taken at the resolution of the harmonics",
-            "Elements are flat: shading normals change only the camera's direct light",
-            "Lamps are no geometry, and shadow rays stop at glass",
-            "Ringing between mirror-like surfaces may never die away; shooting ends, and says so, when no less is left to send",
-            "Sides shoot in groups, brightest first, instead of one by one",
-        ),
-        lobes=bsdf.ALL_LOBES | {"emission"},
-        uses_elements=True,
+        lobes=ALL_LOBES,
+        limits=lines("""
+            Lobes narrower than the order resolves are blurred to it and ring: bright reflections have dark rims, windowing weakens them
+            Radiance that rings below 0 is shot as it is, so that flux is kept, and is shown as 0
+            Mirrors and glass are taken at the resolution of the harmonics
+            Elements are flat: shading normals change only the camera's direct light
+            Lamps are no geometry, and shadow rays stop at glass
+            Ringing between mirror-like surfaces may never die away; shooting ends, and says so, when no less is left to send
+            Sides shoot in groups, brightest first, instead of one by one
+        """),
+        elements=2000,
     )
     Settings = HarmonicSettings
 
-    def element_target(self, settings: HarmonicSettings) -> int:
-        """Elements wanted where max_edge is 0."""
-        return TARGET
-
     def memory(self, world: World, receivers: Receivers, settings: HarmonicSettings) -> int:
         """Coefficients of element sides by path length, rays under way, the pairs that lobes are projected from, receivers."""
-        count = element_count(world, receivers, settings.max_edge, TARGET)
+        count = element_count(world, receivers, settings.max_edge, self.spec.elements)
         classes = max(1, settings.max_length) if settings.max_length < NO_LIMIT else max(2, settings.min_length)
         size = harmonic_count(settings.order)
         return 2 * count * size * 24 * (3 * classes + 8) + BATCH * 8 * (60 + 4 * size) + (128 << 20) + 700 * count + 1200 * receivers.count

@@ -26,11 +26,13 @@ from ..adjoint_gi.core.base.errors import Notice
 from ..adjoint_gi.core.base.parallel import thread_count
 from ..adjoint_gi.core.base.settings import NO_LIMIT, setting
 from ..adjoint_gi.core.bsdf import table as bsdf
+from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES
 from ..adjoint_gi.core.elements.answer import element_count, elements_for
 from ..adjoint_gi.core.elements.elements import Elements
 from ..adjoint_gi.core.elements.rays import ElementRays
 from ..adjoint_gi.core.lights.emitters import Emitters
-from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method import common_settings as common
+from ..adjoint_gi.core.method.registry import BOTH_NATURES, GATHERING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.radiosity.lamp_light import LampLight, dark_notices
 from ..adjoint_gi.core.radiosity.relaxation import jacobi
@@ -45,7 +47,6 @@ from ..adjoint_gi.core.walks.gathering import BATCH, Run
 from ..adjoint_gi.core.walks.mirror_chains import Chains
 from ..adjoint_gi.core.walks.radiance import Walk
 
-TARGET = 3000  # elements where max_edge is chosen
 FIRST = 0.4  # share of the progress that the first pass takes
 
 
@@ -53,38 +54,21 @@ FIRST = 0.4  # share of the progress that the first pass takes
 class TwoPassSettings(RadiositySettings):
     """Settings of the two-pass method; the seed matters only to the view pass."""
 
-    rays: int = setting(
-        256, label="Rays per Element", help="Rays that find the extended form factors of each element", min=1, max=1 << 20, soft_max=16384
-    )
-    depth: int = setting(
-        16, label="Mirror Depth", help="Mirrors, panes and glossy surfaces in a row that first-pass light goes over", min=0, max=256
-    )
+    rays: int = common.element_rays(256, "Rays that find the extended form factors of each element")
+    depth: int = common.mirror_depth("Mirrors, panes and glossy surfaces in a row that first-pass light goes over")
     rough: bool = setting(
         True,
-        label="Rough Lobes in First Pass",
-        help="First-pass light goes over rough glossy lobes as well; off, only over perfect mirrors and clear glass",
+        "Rough Lobes in First Pass",
+        "First-pass light goes over rough glossy lobes as well; off, only over perfect mirrors and clear glass",
     )
-    particles: int = setting(
-        200_000,
-        label="Caustic Particles",
-        help="Particles from lamps and background for their light on elements over mirrors; 0 leaves this light out",
-        min=0,
-        max=1_000_000_000,
-        soft_max=10_000_000,
-    )
-    tolerance: float = setting(
-        1e-5, label="Tolerance", help="Relative change of the irradiance at which the first pass is solved", min=0.0, max=1.0
-    )
-    max_iterations: int = setting(
-        500, label="Max Iterations", help="The first pass gives up, and says so, after this many", min=1, max=100_000
-    )
-    samples: int = setting(
-        32, label="Samples", help="View-pass samples of each texel, vertex or pixel", min=1, max=1 << 24, soft_max=1024, effort=True
-    )
+    particles: int = common.caustic_particles(200_000)
+    tolerance: float = common.tolerance(1e-5, "Relative change of the irradiance at which the first pass is solved")
+    max_iterations: int = common.max_iterations(500, "The first pass gives up, and says so, after this many")
+    samples: int = common.samples(32, "View-pass samples of each texel, vertex or pixel", soft_max=1024)
     gather: bool = setting(
         False,
-        label="Gather Diffuse Light",
-        help="Diffuse surfaces that receivers see are sampled, too, instead of read from the elements: finer, but with noise",
+        "Gather Diffuse Light",
+        "Diffuse surfaces that receivers see are sampled, too, instead of read from the elements: finer, but with noise",
     )
 
 
@@ -96,32 +80,28 @@ class TwoPass(Solver):
         id="two_pass",
         number=5,
         label="Two-Pass",
-        strategies=(Strategy.GATHERING,),
-        natures=(Nature.DETERMINISTIC, Nature.NONDETERMINISTIC),
+        strategies=GATHERING,
+        natures=BOTH_NATURES,
         year=1987,
         authors="J. R. Wallace, M. F. Cohen, D. P. Greenberg; F. X. Sillion, C. Puech",
         title="A Two-Pass Solution to the Rendering Equation: A Synthesis of Ray Tracing and Radiosity Methods",
         equation="B(i) = E(i) + rho(i) sum_j Fext(ij) B(j)  (11, extended)",
         section="5.2",
         idea="Radiosity with form factors that count mirrors, then rays from the eye over mirrors to the known diffuse surfaces.",
-        limits=(
-            "Indirect shadows and caustics are as sharp as the elements are small; caustics of lamps have the noise of their particles",
-            "Extended form factors are shares of rays: each element has an error of its own",
-            "Below a coat the light of the first pass is taken as coming from all sides alike",
-            "Memory grows with elements times rays per element",
-        ),
-        lobes=bsdf.ALL_LOBES | {"emission"},
-        uses_elements=True,
+        lobes=ALL_LOBES,
+        limits=lines("""
+            Indirect shadows and caustics are as sharp as the elements are small; caustics of lamps have the noise of their particles
+            Extended form factors are shares of rays: each element has an error of its own
+            Below a coat the light of the first pass is taken as coming from all sides alike
+            Memory grows with elements times rays per element
+        """),
+        elements=3000,
     )
     Settings = TwoPassSettings
 
-    def element_target(self, settings: TwoPassSettings) -> int:
-        """Elements wanted where max_edge is 0."""
-        return TARGET
-
     def memory(self, world: World, receivers: Receivers, settings: TwoPassSettings) -> int:
         """Chains of all element sides, irradiance by length where lengths are bounded, receivers and batches under way."""
-        count = element_count(world, receivers, settings.max_edge, TARGET)
+        count = element_count(world, receivers, settings.max_edge, self.spec.elements)
         mirrors = any(x.kind in bsdf.KINDS for m in world.scene.materials for x in m.lobes)
         kept = 2 if mirrors else 1  # chains meet about one diffuse surface; mixed surfaces more
         fields = (settings.max_length if settings.max_length < NO_LIMIT else settings.min_length) + 4
@@ -133,7 +113,7 @@ class TwoPass(Solver):
         """Yield through both passes; pictures begin with the second."""
         emitters = Emitters(world)
         run = Run(self.spec, world, receivers, settings, emitters)
-        elements = elements_for(world, receivers, settings.max_edge, TARGET)
+        elements = elements_for(world, receivers, settings.max_edge, self.spec.elements)
         first = FirstPass(elements, emitters, settings, receivers.measure == "irradiance")
         for share, text in first.run():
             yield from run.clock.pause(Step(FIRST * share, text, run.solution))

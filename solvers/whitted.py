@@ -24,10 +24,11 @@ from ..adjoint_gi.core.base.parallel import thread_count
 from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf import mirrors
 from ..adjoint_gi.core.bsdf import table as bsdf
-from ..adjoint_gi.core.bsdf.lobes import DIFFUSE, KINDS, LOBES, REFRACTING
+from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES, DIFFUSE, KINDS, LOBES, REFRACTING
 from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.lights.light_points import LightPoints, phong_lobe
-from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
+from ..adjoint_gi.core.method import common_settings as common
+from ..adjoint_gi.core.method.registry import DETERMINISTIC, GATHERING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.arrays import Lobe, constant_of
@@ -51,32 +52,17 @@ ROUGH = (
 class WhittedSettings(base.Settings):
     """Settings of recursive ray tracing."""
 
-    depth: int = setting(
-        8, label="Depth", help="Mirrors and glass surfaces that a ray may meet one after another", min=0, max=256, soft_max=32
-    )
+    depth: int = setting(8, "Depth", "Mirrors and glass surfaces that a ray may meet one after another", min=0, max=256, soft_max=32)
     contribution: float = setting(
         0.002,
-        label="Contribution Limit",
-        help="Rays whose light would reach the receiver weaker than this share are not followed; 0 follows all down to the depth",
+        "Contribution Limit",
+        "Rays whose light would reach the receiver weaker than this share are not followed; 0 follows all down to the depth",
         min=0.0,
         max=1.0,
     )
-    ambient: float = setting(
-        0.0,
-        label="Ambient Radiance",
-        help="Uniform radiance that stands for all diffuse indirect light, W/m2/sr",
-        min=0.0,
-        max=1e9,
-        soft_max=10.0,
-    )
-    light_points: int = setting(
-        16,
-        label="Light Points",
-        help="Differential elements that stand for each lamp with a size and for all emissive surfaces",
-        min=1,
-        max=4096,
-    )
-    rough: str = setting("highlights", label="Rough Lobes", help="What happens to lobes that are not perfectly smooth", choices=ROUGH)
+    ambient: float = common.ambient_radiance("all diffuse")
+    light_points: int = common.light_points(16)
+    rough: str = setting("highlights", "Rough Lobes", "What happens to lobes that are not perfectly smooth", choices=ROUGH)
 
 
 @register
@@ -87,23 +73,23 @@ class Whitted(Solver):
         id="whitted",
         number=2,
         label="Recursive Ray Tracing",
-        strategies=(Strategy.GATHERING,),
-        natures=(Nature.DETERMINISTIC,),
+        strategies=GATHERING,
+        natures=DETERMINISTIC,
         year=1980,
         authors="T. Whitted",
         title="An Improved Illumination Model for Shaded Display",
         equation="Lo(x) = Le + rho_a L_a + rho_s Lo(y) + sum_j fr Le(j) cos theta(j) dw(j)  (9)",
         section="5.1",
         idea="Besides the lights, a surface gathers from one more direction: the mirror's, and beyond glass the refracted one.",
-        limits=(
-            "No diffuse interreflection: it is one constant, the ambient radiance",
-            "No caustics: light that reaches a diffuse surface over mirrors or through glass is not found; glass casts full shadows",
-            "Rough lobes reflect lights only, or are taken as mirrors, or refused, by setting",
-            "Fresnel's equations for unpolarised light at every surface: a pane passes up to 4 percent too little at grazing angles",
-            "Soft shadows are as many hard ones as there are light points",
-            "Light of the world is seen in mirrors and through glass, and arrives on other surfaces only through the ambient radiance",
-        ),
-        lobes=bsdf.ALL_LOBES | {"emission"},
+        lobes=ALL_LOBES,
+        limits=lines("""
+            No diffuse interreflection: it is one constant, the ambient radiance
+            No caustics: light that reaches a diffuse surface over mirrors or through glass is not found; glass casts full shadows
+            Rough lobes reflect lights only, or are taken as mirrors, or refused, by setting
+            Fresnel's equations for unpolarised light at every surface: a pane passes up to 4 percent too little at grazing angles
+            Soft shadows are as many hard ones as there are light points
+            Light of the world is seen in mirrors and through glass, and arrives on other surfaces only through the ambient radiance
+        """),
         leaves_out="diffuse interreflection and caustics",
     )
     Settings = WhittedSettings

@@ -48,12 +48,9 @@ class Fake(Solver):
         idea="Counts to the number of steps.",
         limits=("solves nothing at all, which takes a rather long sentence to say and therefore must be broken into lines",),
         lobes=frozenset({"diffuse"}),
-        uses_elements=True,
+        elements=100,
     )
     Settings = FakeSettings
-
-    def element_target(self, settings):
-        return 100
 
     def solve(self, world, receivers, settings, rng):
         n = receivers.count

@@ -13,9 +13,9 @@ NO_LIMIT = 1024  # a max_length of this or more does not bound the paths
 
 def setting(
     default: Any,
-    *,
     label: str,
     help: str,
+    *,
     min: float | None = None,
     max: float | None = None,
     soft_max: float | None = None,
@@ -40,6 +40,11 @@ def setting(
         "effort": effort,
     }
     return field(default=default, metadata=meta)
+
+
+def choice(default: str, label: str, help: str, **choices: tuple[str, str]) -> Any:
+    """A field that takes one of `choices`: identifier=(label, description)."""
+    return setting(default, label, help, choices=tuple((id, *words) for id, words in choices.items()))
 
 
 @dataclass(frozen=True)

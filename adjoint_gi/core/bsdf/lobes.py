@@ -24,7 +24,8 @@ LOBES: tuple[LobeKind, ...] = (
 )
 DIFFUSE, GLOSSY, METALLIC, SPECULAR, GLASS, REFRACTION, TRANSPARENT, DIELECTRIC = range(8)
 KINDS = {kind.name: number for number, kind in enumerate(LOBES) if number}
-ALL_LOBES = frozenset(kind.name for kind in LOBES)
+ALL_LOBES = frozenset(("emission", *(kind.name for kind in LOBES)))  # what surfaces may have
+DIFFUSE_LOBES = frozenset(("diffuse", "emission"))
 DELTA_BELOW = np.array([kind.delta_below for kind in LOBES], np.float32)
 
 

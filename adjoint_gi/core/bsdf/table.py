@@ -21,10 +21,10 @@ from .coat import LARGEST, Coats
 from .curves import Grid, Mixture
 from .diffuse import cosine_directions, lambert
 from .lobe import LobeKind, Seen
-from .lobes import ALL_LOBES, DELTA_BELOW, KINDS, LOBES, PARTIAL, REFRACTING, present
+from .lobes import DELTA_BELOW, KINDS, LOBES, PARTIAL, REFRACTING, present
 from .multiscatter import Gains
 
-__all__ = ["ALL_LOBES", "KINDS", "LOBES", "BsdfTable", "Lobes", "Scattered", "Slot", "evaluate", "frame", "sample", "weights", "white_lobe"]
+__all__ = ["KINDS", "LOBES", "BsdfTable", "Lobes", "Scattered", "Slot", "evaluate", "frame", "sample", "weights", "white_lobe"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -50,21 +50,20 @@ class HarmonicShooting:
 
     def emit(self, radiance: np.ndarray) -> None:
         """Add emission: coefficients (n, size, 3) of radiance that leaves."""
-        flux = self._flux(radiance)
-        self.emitted += flux
-        if self.high == 0:
-            self.cut += flux
-        else:
+        if self._counts(self._flux(radiance)):
             self.unshot[0] += radiance
 
     def illuminate(self, moments: np.ndarray) -> None:
         """Add light from outside the elements: moments (n, size, 3) of what arrives."""
-        flux = self._arrived(moments)
+        if self._counts(self._arrived(moments)):
+            self._arrive(moments, 0)
+
+    def _counts(self, flux: np.ndarray) -> bool:
+        """Add to the emitted flux (3,); returns whether any path length counts."""
         self.emitted += flux
         if self.high == 0:
             self.cut += flux
-        else:
-            self._arrive(moments, 0)
+        return self.high > 0
 
     def _flux(self, radiance: np.ndarray) -> np.ndarray:
         return np.einsum("n,a,nac->c", self.area, self.basis.flux, radiance)

@@ -32,6 +32,13 @@ class Nature(StrEnum):
     NONDETERMINISTIC = "nondeterministic"
 
 
+GATHERING, SHOOTING = (Strategy.GATHERING,), (Strategy.SHOOTING,)
+GATHERING_OR_SHOOTING = (*GATHERING, *SHOOTING)  # as the settings say
+SHOOTING_THEN_GATHERING = (*SHOOTING, *GATHERING)
+DETERMINISTIC, NONDETERMINISTIC = (Nature.DETERMINISTIC,), (Nature.NONDETERMINISTIC,)
+BOTH_NATURES = (*DETERMINISTIC, *NONDETERMINISTIC)
+
+
 @dataclass(frozen=True)
 class MethodSpec:
     """What a method is, where it stands in the taxonomy, and what it cannot do."""
@@ -49,15 +56,25 @@ class MethodSpec:
     idea: str
     limits: tuple[str, ...]
     lobes: frozenset[str]  # BSDF lobes solved as they are; others are replaced and warned about
-    uses_elements: bool = False
+    elements: int = 0  # wanted at default settings, where `max_edge` is 0; 0 for methods that have none
     receivers: tuple[str, ...] = ("texels", "vertices", "camera", "elements")
     answers: str = "light"  # or "potential": then its solutions have that measure for all receivers
     leaves_out: str = ""  # light that it leaves out by design, so that it differs from the others there
     allowance: float | None = None  # relative error of an object's flux at default settings; None: as for all methods on elements, else 0
 
+    @property
+    def uses_elements(self) -> bool:
+        """Whether the method cuts surfaces into elements."""
+        return self.elements > 0
+
+
+def lines(text: str) -> tuple[str, ...]:
+    """The lines of a text, for `MethodSpec.limits`: one limit a line."""
+    return tuple(line.strip() for line in text.strip().splitlines())
+
 
 class Solver:
-    """Base of all methods. `solve` is a generator; whoever drives it may stop between any two steps and keep the last."""
+    """Base of all methods. `solve` is a generator; its consumer may stop between any two steps and keep the last."""
 
     spec: ClassVar[MethodSpec]
     Settings: ClassVar[type[Settings]]
@@ -67,8 +84,8 @@ class Solver:
         return receivers.count * 3 * 4 * 6
 
     def element_target(self, settings: Settings) -> int:
-        """Elements wanted where the setting `max_edge` is 0; only methods with `spec.uses_elements` define it."""
-        raise TypeError(f"{type(self).__name__} does not define element_target()")
+        """Elements wanted where the setting `max_edge` is 0; for methods that use elements."""
+        return self.spec.elements
 
     def solve(self, world: World, receivers: Receivers, settings: Settings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield a `Step` at least every quarter of a second; the last one is the finished result."""
