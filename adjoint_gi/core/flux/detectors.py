@@ -25,7 +25,7 @@ from ..bsdf.table import BsdfTable
 from ..elements.elements import Elements
 from ..lights.emission import Emission, Particles
 from ..method.solution import Solution
-from ..receivers.base import CameraReceivers
+from ..receivers.base import CameraReceivers, Receivers
 from ..scene.world import World
 from ..walks.particles import Hits, walk
 
@@ -68,6 +68,17 @@ class FaceDetector(Detector):
         out = np.repeat(self.mask[elements.patch_triangle[elements.patch]].astype(np.float64), 2)
         out[1::2] *= self.both
         return out
+
+    def on_receivers(self, world: World, receivers: Receivers) -> np.ndarray:
+        """(n, 3) float32: g of other receivers, the share of each one's points that are in the set."""
+        total, count = np.zeros(receivers.count), np.zeros(receivers.count)
+        for points in receivers.sites():
+            side = np.ones(len(points.receiver))
+            if points.towards is not None:
+                side = np.einsum("ij,ij->i", world.rows[points.triangle, 9:12], points.towards)
+            total += np.bincount(points.receiver, self.holds(points.triangle, side), receivers.count)
+            count += np.bincount(points.receiver, minlength=receivers.count)
+        return np.repeat((total / np.maximum(count, 1)).astype(np.float32)[:, None], 3, axis=1)
 
 
 class CameraDetector(Detector):
@@ -190,6 +201,10 @@ class Flux:
     def total(self) -> np.ndarray:
         """(3,) all of it."""
         return self.value.sum(axis=0)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """For `Solution.extra`: "flux" and "flux_error", (3 path lengths, 3 colours) float64."""
+        return {"flux": self.value, "flux_error": self.error}
 
 
 def flux_by_radiance(detect: Detector, solution: Solution, elements: Elements | None = None) -> Flux:

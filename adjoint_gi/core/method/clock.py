@@ -31,12 +31,16 @@ class Clock:
         """Yield `step` and stand still until the generator is continued."""
         self.stop()
         yield step
-        self._since = self._last = time.perf_counter()
+        self.go()
 
     def last(self, step: Step) -> Iterator[Step]:
         """Yield the last step and stand still for good."""
         self.stop()
         yield step
+
+    def go(self) -> None:
+        """Go on."""
+        self._since = self._last = time.perf_counter()
 
     def stop(self) -> None:
         """Stand still from now on."""

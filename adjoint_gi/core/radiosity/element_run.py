@@ -41,13 +41,14 @@ class ElementRun:
     history    (seconds of work, residual or unshot share) after every iteration
     """
 
-    def __init__(self, solver: Solver, world: World, receivers: Receivers, settings: Settings) -> None:
+    def __init__(self, solver: Solver, world: World, receivers: Receivers, settings: Settings, lobes: frozenset[str] | None = None) -> None:
+        """`lobes` that are solved as they are, where they depend on the settings; None: those of the method."""
         self.spec, self.world, self.receivers, self.settings = solver.spec, world, receivers, settings
         self.clock = Clock()
         self.elements = elements_for(world, receivers, settings.max_edge, solver.element_target(settings))
         self.emitters = Emitters(world)
         self.history: list[tuple[float, float]] = []
-        self.warnings = world.scene.warnings + world.shading.substitutions(solver.spec.lobes)
+        self.warnings = world.scene.warnings + world.shading.substitutions(solver.spec.lobes if lobes is None else lobes)
         self.find: Callable[[bool], Found]
 
     @property
