@@ -32,15 +32,15 @@ from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.registry import BOTH_NATURES, SHOOTING_THEN_GATHERING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Solution, Step
-from ..adjoint_gi.core.radiosity.lamp_light import LampLight, dark_notices, receiver_light
+from ..adjoint_gi.core.radiosity.lamp_light import dark_notices, receiver_light
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
 from ..adjoint_gi.core.radiosity.southwell import LARGEST_BATCH, Grouping, Shooting, Southwell, balance
 from ..adjoint_gi.core.radiosity.trapped import Trap
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import World
-from ..adjoint_gi.core.two_pass.caustics import Caustics
 from ..adjoint_gi.core.two_pass.extended_factors import ExtendedShots
 from ..adjoint_gi.core.two_pass.known_light import KnownLight
+from ..adjoint_gi.core.two_pass.outside_light import OutsideLight
 from ..adjoint_gi.core.two_pass.view_pass import View, estimator
 from ..adjoint_gi.core.walks.gathering import BATCH, Run
 from ..adjoint_gi.core.walks.mirror_chains import Chains
@@ -124,7 +124,7 @@ class MultiPass(Solver):
 
         # 2. L = Le + T L (Eq. 1): path tracing that reads the radiosity further off.
         walk = Walk(world, emitters, blend.chains.table, settings.min_length, settings.max_length)
-        unmet = blend.caustics.unmet_light(settings.min_length, settings.max_length)
+        unmet = blend.outside.caustics.unmet_light(settings.min_length, settings.max_length)
         view = View(walk, blend.known(), settings.hops if blend.reads else settings.max_length + 1, False, unmet)
         for step in run.steps(estimator(view), settings.samples, rng):
             yield dataclasses.replace(step, fraction=FIRST + (1 - FIRST) * step.fraction, solution=blend.solution)
@@ -139,8 +139,7 @@ class _Blend:
         # Whole paths are traced where their length is bounded, as radiosity does not tell lengths apart.
         self.reads = s.max_length >= NO_LIMIT and s.min_length <= 2
         self.chains = Chains(run.world, s.depth)
-        self.lamps = LampLight(elements, emitters, s.light_samples)
-        self.caustics = Caustics(elements, emitters, self.chains, s.particles)
+        self.outside = OutsideLight(elements, emitters, self.chains, s.light_samples, s.particles)
         self.transport = ExtendedShots(ElementRays(elements), self.chains)
         gather = receiver_light(run.world, emitters, s)
         self.answer = ElementAnswer(elements, run.receivers, gather, s.min_length, s.max_length)
@@ -151,21 +150,18 @@ class _Blend:
     @property
     def rays(self) -> int:
         """Cast by the first pass so far."""
-        return self.lamps.rays + self.caustics.rays + self.transport.count + self.answer.rays
+        return self.outside.rays + self.transport.count + self.answer.rays
 
     def radiosity(self) -> Iterator[tuple[float, str]]:
         """Yield the share of the first pass done and what is being done."""
         s, run = self.settings, self.run
-        for share in self.lamps.run():
-            yield 0.1 * share, "Light of lamps and background on elements"
-        for share in self.caustics.run():
-            yield 0.1 + 0.1 * share, "Light of lamps over mirrors"
-        run.warnings += dark_notices(self.elements, self.lamps.irradiance)
+        yield from self.outside.run(0.2)
+        run.warnings += dark_notices(self.elements, self.outside.straight)
         for share in self.answer.prepare():
             yield 0.2 + 0.1 * share, f"Receivers, {share:.0%}"
         # Light of lamps over mirrors is indirect; it comes in after the state has begun, as its second class.
-        self.state = state = Southwell(self.transport, self.emitted, self.lamps.irradiance)
-        state.arrive_later(self.caustics.total)
+        self.state = state = Southwell(self.transport, self.emitted, self.outside.straight)
+        state.arrive_later(self.outside.caustics.total)
         shooting = Shooting(state, Grouping.for_sides(len(state.direct), s.rays, SHOTS), s.tolerance, s.max_shots)
         trap = Trap(state)
         for share in shooting.run():
@@ -210,5 +206,5 @@ class _Blend:
     def _now(self) -> Parts:
         """The first answer with an estimate for the light that has not been shot yet."""
         state = self.state
-        direct = state.direct if state.total else self.lamps.irradiance
+        direct = state.direct if state.total else self.outside.straight
         return self.answer.parts(direct, state.indirect + state.reached[:, None] * state.ambient())

@@ -34,14 +34,14 @@ from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.registry import BOTH_NATURES, GATHERING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
-from ..adjoint_gi.core.radiosity.lamp_light import LampLight, dark_notices
+from ..adjoint_gi.core.radiosity.lamp_light import dark_notices
 from ..adjoint_gi.core.radiosity.relaxation import jacobi
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import World
-from ..adjoint_gi.core.two_pass.caustics import Caustics
 from ..adjoint_gi.core.two_pass.extended_factors import ExtendedTransport
 from ..adjoint_gi.core.two_pass.known_light import KnownLight, lengths_of
+from ..adjoint_gi.core.two_pass.outside_light import OutsideLight
 from ..adjoint_gi.core.two_pass.view_pass import View, estimator
 from ..adjoint_gi.core.walks.gathering import BATCH, Run
 from ..adjoint_gi.core.walks.mirror_chains import Chains
@@ -124,7 +124,7 @@ class TwoPass(Solver):
         known.prepare()
         unmet = None
         if settings.gather:
-            unmet = first.caustics.unmet_light(settings.min_length, settings.max_length)
+            unmet = first.outside.caustics.unmet_light(settings.min_length, settings.max_length)
         walk = Walk(world, emitters, first.chains.table, settings.min_length, settings.max_length)
         estimate = estimator(View(walk, known, int(settings.gather), settings.direct_light == "receivers", unmet))
         for step in run.steps(estimate, settings.samples, rng):
@@ -134,14 +134,13 @@ class TwoPass(Solver):
 class FirstPass:
     """Extended radiosity of the elements.
 
-    chains, caustics, transport; by_length: irradiance (2 ne, 3) of each length that had to be told apart; total of all, or None
+    chains, outside, transport; by_length: irradiance (2 ne, 3) of each length that had to be told apart; total of all, or None
     """
 
     def __init__(self, elements: Elements, emitters: Emitters, settings: TwoPassSettings, all_sides: bool) -> None:
         self.elements, self.settings, self.all_sides = elements, settings, all_sides
         self.chains = Chains(elements.world, settings.depth, settings.rough)
-        self.lamps = LampLight(elements, emitters, settings.light_samples)
-        self.caustics = Caustics(elements, emitters, self.chains, settings.particles)
+        self.outside = OutsideLight(elements, emitters, self.chains, settings.light_samples, settings.particles)
         self.transport = ExtendedTransport(ElementRays(elements), self.chains, settings.rays)
         self.warnings: tuple[Notice, ...] = ()
         self.total: np.ndarray | None = None
@@ -149,27 +148,24 @@ class FirstPass:
     @property
     def rays(self) -> int:
         """Cast so far."""
-        return self.lamps.rays + self.caustics.rays + self.transport.count
+        return self.outside.rays + self.transport.count
 
     def run(self) -> Iterator[tuple[float, str]]:
         """Yield the share done and what is being done."""
         s, t = self.settings, self.transport
         # 1. Light of lamps and background, straight and over mirrors.
-        for share in self.lamps.run():
-            yield 0.2 * share, "Light of lamps and background on elements"
-        for share in self.caustics.run():
-            yield 0.2 + 0.2 * share, "Light of lamps over mirrors"
-        self.warnings += dark_notices(self.elements, self.lamps.irradiance)
+        yield from self.outside.run(0.4)
+        self.warnings += dark_notices(self.elements, self.outside.straight)
         # 2. Extended form factors of the sides that reflect diffusely, or that are asked for.
         sides = np.arange(len(t.area)) if self.all_sides else np.flatnonzero(t.rho.max(axis=1) > 0)
         for share in t.build(sides):
             yield 0.4 + 0.5 * share, f"Extended form factors of {len(sides):,} element sides"
         # 3. What arrives of light that no diffuse surface has reflected yet, by length.
-        arriving = [np.zeros_like(t.rho), self.lamps.irradiance + t.through(t.emitted, t.rows[1], emitted=True)]
+        arriving = [np.zeros_like(t.rho), self.outside.straight + t.through(t.emitted, t.rows[1], emitted=True)]
         for length in range(2, len(t.rows)):
             light = t.through(t.emitted, t.rows[length], emitted=True)
-            if length < len(self.caustics.by_length):
-                light = light + self.caustics.by_length[length]
+            if length < len(self.outside.caustics.by_length):
+                light = light + self.outside.caustics.by_length[length]
             arriving.append(light)
             yield 0.9, "Light over mirrors"
         self.first = arriving[1]

@@ -9,13 +9,14 @@ import numpy as np
 
 from ..base.parallel import in_order
 from ..bsdf import table as bsdf
-from ..elements.answer import ElementAnswer, Parts, _sum
+from ..elements.answer import ElementAnswer, Parts, Sums, sum_by_receiver
 from ..lights.direct import direct_irradiance
 from ..lights.emitters import Emitters
 from ..radiosity.lamp_light import receiver_light
 from ..radiosity.settings import RadiositySettings
 from ..receivers.base import Points, Receivers
 from ..scene.world import Surface
+from ..walks.gathering import sliced
 from ..walks.radiance import Walk, gather, take
 from .rays import DirectionalRays
 from .scattering import Scattering
@@ -70,8 +71,7 @@ class DirectionalAnswer:
         self.sharp = self.camera and settings.direct_light == "receivers" and low <= 1 <= high
         self.rays = 0
         self._seen: list[_Seen] = []
-        n = receivers.count
-        self._emitted, self._albedo, self._direct, self._weight = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 1))
+        self._sums = Sums(receivers.count)
 
     def prepare(self) -> Iterator[float]:
         """Find all receiver points; yields the share done, 0 to 1, after each chunk."""
@@ -79,19 +79,10 @@ class DirectionalAnswer:
             yield from self.plain.prepare()
             self.rays = self.plain.rays
             return
-        for seen, sums, rays in in_order(self._chunk, enumerate(self._pieces())):
+        for seen, sums, rays in in_order(self._chunk, enumerate(sliced(self.receivers.sites(), PIECE))):
             self._seen.append(seen)
-            for total, (first, values) in zip((self._emitted, self._albedo, self._direct, self._weight), sums, strict=True):
-                total[first : first + len(values)] += values
             self.rays += rays
-            yield float(first + len(values)) / max(1, self.receivers.count)
-
-    def _pieces(self) -> Iterator[Points]:
-        for points in self.receivers.sites():
-            for a in range(0, len(points.receiver), PIECE):
-                b = slice(a, a + PIECE)
-                arrays = (points.receiver, points.triangle, points.u, points.v, points.towards, points.origin, points.distance)
-                yield Points(*(x[b] for x in arrays), points.rays if a == 0 else 0)
+            yield self._sums.add(sums)
 
     def _chunk(self, item: tuple[int, Points]) -> tuple[_Seen, list, int]:
         index, points = item
@@ -116,8 +107,12 @@ class DirectionalAnswer:
         coat = 1 - lobes.coat()
         base = lobes.diffuse * (coat / np.float32(np.pi))[:, None]
         seen = _Seen(points.receiver[on], side, a, b, self.caster.to_local(side, towards), base)
-        sums = [_sum(points.receiver, emitted), _sum(seen.receiver, world.albedo(surface)), _sum(seen.receiver, direct)]
-        sums.append(_sum(points.receiver, np.ones((len(points.receiver), 1))))
+        sums = [
+            sum_by_receiver(points.receiver, emitted),
+            sum_by_receiver(seen.receiver, world.albedo(surface)),
+            sum_by_receiver(seen.receiver, direct),
+        ]
+        sums.append(sum_by_receiver(points.receiver, np.ones((len(points.receiver), 1))))
         return seen, sums, rays
 
     def _direct_light(self, surface: Surface, lobes: bsdf.Lobes, shiny: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, int]:
@@ -155,17 +150,18 @@ class DirectionalAnswer:
             if shines is not None and len(rows):
                 light[rows] += self._shine(shines, s, rows)
             # What harmonics swing below 0 is not light.
-            return _sum(s.receiver, np.concatenate([np.maximum(light, 0), flat[s.side]], axis=1))
+            return sum_by_receiver(s.receiver, np.concatenate([np.maximum(light, 0), flat[s.side]], axis=1))
 
         total = np.zeros((self.receivers.count, 3 * len(lights) + 3))
         for first, values in in_order(evaluate, self._seen):
             total[first : first + len(values)] += values
-        share = 1.0 / np.maximum(self._weight, 1)
+        sums = self._sums
+        share = 1.0 / np.maximum(sums.weight, 1)
         total *= share
-        direct_here = self._direct * share if self.sharp else total[:, :3]
-        arrays = (self._emitted * share, direct_here, total[:, -6:-3], self._albedo * share)
+        direct_here = sums.direct * share if self.sharp else total[:, :3]
+        arrays = (sums.emitted * share, direct_here, total[:, -6:-3], sums.albedo * share)
         extra = {"elements": total[:, -3:].astype(np.float32)}
-        return Parts(*(x.astype(np.float32) for x in arrays), (self._weight[:, 0] > 0).astype(np.float32), self.rays, extra)
+        return Parts(*(x.astype(np.float32) for x in arrays), (sums.weight[:, 0] > 0).astype(np.float32), self.rays, extra)
 
     def _shine(self, shines: list[np.ndarray], s: _Seen, rows: np.ndarray) -> np.ndarray:
         """(m, 3 k) radiance of the lobes other than diffuse towards the camera, interpolated between the nodes of the elements."""

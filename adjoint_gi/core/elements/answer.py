@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,6 +12,7 @@ from ..base.parallel import in_order
 from ..lights.emitters import Emitters
 from ..receivers.base import Points, Receivers
 from ..scene.world import Surface, World
+from ..walks.gathering import sliced
 from .elements import Elements
 from .refinement import RefinedElements, over_base
 
@@ -62,6 +63,20 @@ def element_count(world: World, receivers: Receivers, max_edge: float, target: i
     return own.count if own is not None else Elements.planned(world, max_edge, target)
 
 
+class Sums:
+    """Sums over the points of `n` receivers: emitted, albedo, direct (n, 3) float64, and weight (n, 1), the number of points."""
+
+    def __init__(self, n: int) -> None:
+        self.emitted, self.albedo, self.direct = np.zeros((3, n, 3))
+        self.weight = np.zeros((n, 1))
+
+    def add(self, chunk: Sequence[tuple[int, np.ndarray]]) -> float:
+        """Add the sums of a chunk of receivers, each with its first receiver, in the order of the fields; returns the share done."""
+        for total, (first, values) in zip((self.emitted, self.albedo, self.direct, self.weight), chunk, strict=True):
+            total[first : first + len(values)] += values
+        return float(first + len(values)) / max(1, len(self.weight))
+
+
 class ElementAnswer:
     """Evaluates element solutions at receivers; their points are found once and kept for every later partial result.
 
@@ -83,11 +98,7 @@ class ElementAnswer:
         self.rays = 0
         self.ready = 0.0
         self._sites: list[_Sites] = []
-        n = receivers.count
-        self._emitted = np.zeros((n, 3))
-        self._albedo = np.zeros((n, 3))
-        self._direct = np.zeros((n, 3))
-        self._weight = np.zeros(n)
+        self._sums = Sums(receivers.count)
 
     def prepare(self) -> Iterator[float]:
         """Find all receiver points; yields the share done, 0 to 1, after each chunk."""
@@ -96,21 +107,14 @@ class ElementAnswer:
             return
         for sites, sums, rays in in_order(self._chunk, enumerate(self._pieces())):
             self._sites.append(sites)
-            for total, (first, values) in zip((self._emitted, self._albedo, self._direct, self._weight), sums, strict=True):
-                total[first : first + len(values)] += values
             self.rays += rays
-            self.ready = float(first + len(values)) / max(1, self.receivers.count)
+            self.ready = self._sums.add(sums)
             yield self.ready
         self.ready = 1.0
 
     def _pieces(self) -> Iterator[Points]:
         """The receivers' points, in smaller pieces where each of them costs rays to lights."""
-        for points in self.receivers.sites():
-            size = PIECE if self.gather is not None else max(1, len(points.receiver))
-            for a in range(0, len(points.receiver), size):
-                b = slice(a, a + size)
-                rest = (None if x is None else x[b] for x in (points.towards, points.origin, points.distance))
-                yield Points(points.receiver[b], points.triangle[b], points.u[b], points.v[b], *rest, points.rays if a == 0 else 0)
+        return self.receivers.sites() if self.gather is None else sliced(self.receivers.sites(), PIECE)
 
     def _chunk(self, item: tuple[int, Points]) -> tuple[_Sites, list[tuple[int, np.ndarray]], int]:
         index, points = item
@@ -140,13 +144,11 @@ class ElementAnswer:
             if radiance:
                 direct = direct * albedo / np.float32(np.pi)
         sums = [
-            _sum(points.receiver, emitted),
-            _sum(sites.receiver, albedo),
-            _sum(sites.receiver, direct),
-            _sum(points.receiver, np.ones((len(on), 1), np.float32)),
+            sum_by_receiver(points.receiver, emitted),
+            sum_by_receiver(sites.receiver, albedo),
+            sum_by_receiver(sites.receiver, direct),
+            sum_by_receiver(points.receiver, np.ones((len(on), 1), np.float32)),
         ]
-        first, weight = sums[3]
-        sums[3] = (first, weight[:, 0])
         return sites, sums, rays
 
     def refine(self, elements: RefinedElements) -> None:
@@ -176,17 +178,18 @@ class ElementAnswer:
             if radiance:
                 light *= np.tile(s.albedo, (1, 2)) / np.float32(np.pi)
                 light = np.concatenate([light, flat[s.side]], axis=1)
-            return _sum(s.receiver, light)
+            return sum_by_receiver(s.receiver, light)
 
         total = np.zeros((self.receivers.count, 9 if radiance else 6))
         for first, values in in_order(evaluate, self._sites):
             total[first : first + len(values)] += values
-        share = 1.0 / np.maximum(self._weight, 1)[:, None]
+        sums = self._sums
+        share = 1.0 / np.maximum(sums.weight, 1)
         total *= share
-        direct_here = total[:, :3] if self.gather is None else self._direct * share
-        arrays = (self._emitted * share, direct_here, total[:, 3:6], self._albedo * share)
+        direct_here = total[:, :3] if self.gather is None else sums.direct * share
+        arrays = (sums.emitted * share, direct_here, total[:, 3:6], sums.albedo * share)
         extra = {"elements": total[:, 6:].astype(np.float32)} if radiance else {}
-        return Parts(*(x.astype(np.float32) for x in arrays), (self._weight > 0).astype(np.float32), self.rays, extra)
+        return Parts(*(x.astype(np.float32) for x in arrays), (sums.weight[:, 0] > 0).astype(np.float32), self.rays, extra)
 
     def _identity(self, direct: np.ndarray, indirect: np.ndarray) -> Parts:
         e = self.receivers.elements
@@ -207,7 +210,7 @@ def element_solution(
     return answer.parts(direct, indirect)
 
 
-def _sum(receiver: np.ndarray, values: np.ndarray) -> tuple[int, np.ndarray]:
+def sum_by_receiver(receiver: np.ndarray, values: np.ndarray) -> tuple[int, np.ndarray]:
     """First receiver of the chunk and sums (k, c) float64 of `values` (n, c) from it on."""
     if not len(receiver):
         return 0, np.zeros((0, values.shape[1]))
