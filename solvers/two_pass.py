@@ -17,7 +17,7 @@ SIGGRAPH 1989, 335-344.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,23 +111,23 @@ class TwoPass(Solver):
 
     def solve(self, world: World, receivers: Receivers, settings: TwoPassSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield through both passes; pictures begin with the second."""
-        emitters = Emitters(world)
-        run = Run(self.spec, world, receivers, settings, emitters)
-        elements = elements_for(world, receivers, settings.max_edge, self.spec.elements)
-        first = FirstPass(elements, emitters, settings, receivers.measure == "irradiance")
+        s, emitters = settings, Emitters(world)
+        run = Run(self.spec, world, receivers, s, emitters)
+
+        # 1. First pass: B(i) = E(i) + rho(i) sum_j Fext(ij) B(j) (Eq. 11, with extended form factors).
+        elements = elements_for(world, receivers, s.max_edge, self.spec.elements)
+        first = FirstPass(elements, emitters, s, receivers.measure == "irradiance")
         for share, text in first.run():
             yield from run.clock.pause(Step(FIRST * share, text, run.solution))
         run.rays += first.rays
         run.warnings += first.warnings
-
         known = first.known()
-        known.prepare()
-        unmet = None
-        if settings.gather:
-            unmet = first.outside.caustics.unmet_light(settings.min_length, settings.max_length)
-        walk = Walk(world, emitters, first.chains.table, settings.min_length, settings.max_length)
-        estimate = estimator(View(walk, known, int(settings.gather), settings.direct_light == "receivers", unmet))
-        for step in run.steps(estimate, settings.samples, rng):
+
+        # 2. View pass: L = Le + T L (Eq. 1), over mirrors and glossy surfaces to diffuse ones, whose B is known.
+        unmet = first.outside.caustics.unmet_light(s.min_length, s.max_length) if s.gather else None
+        walk = Walk(world, emitters, first.chains.table, s.min_length, s.max_length)
+        view = View(walk, known, int(s.gather), s.direct_light == "receivers", unmet)
+        for step in run.steps(estimator(view), s.samples, rng):
             yield dataclasses.replace(step, fraction=FIRST + (1 - FIRST) * step.fraction)
 
 
@@ -152,27 +152,36 @@ class FirstPass:
 
     def run(self) -> Iterator[tuple[float, str]]:
         """Yield the share done and what is being done."""
-        s, t = self.settings, self.transport
         # 1. Light of lamps and background, straight and over mirrors.
         yield from self.outside.run(0.4)
         self.warnings += dark_notices(self.elements, self.outside.straight)
-        # 2. Extended form factors of the sides that reflect diffusely, or that are asked for.
+        # 2. Fext(ij) of the sides that reflect diffusely, or that are asked for.
+        t = self.transport
         sides = np.arange(len(t.area)) if self.all_sides else np.flatnonzero(t.rho.max(axis=1) > 0)
         for share in t.build(sides):
             yield 0.4 + 0.5 * share, f"Extended form factors of {len(sides):,} element sides"
-        # 3. What arrives of light that no diffuse surface has reflected yet, by length.
+        # 3. The system (Eq. 11): lengths that must be told apart one after another, then all together.
+        arriving = yield from self._arrive()
+        yield from self._solve_lengths(arriving)
+        if self.settings.max_length >= NO_LIMIT:
+            yield from self._solve(sum(arriving))
+
+    def _arrive(self) -> Generator[tuple[float, str], None, list[np.ndarray]]:
+        """Returns, by length, irradiance (2 ne, 3) of light that no diffuse surface has reflected yet."""
+        t, by_length = self.transport, self.outside.caustics.by_length
         arriving = [np.zeros_like(t.rho), self.outside.straight + t.through(t.emitted, t.rows[1], emitted=True)]
         for length in range(2, len(t.rows)):
             light = t.through(t.emitted, t.rows[length], emitted=True)
-            if length < len(self.outside.caustics.by_length):
-                light = light + self.outside.caustics.by_length[length]
-            arriving.append(light)
+            arriving.append(light + by_length[length] if length < len(by_length) else light)
             yield 0.9, "Light over mirrors"
         self.first = arriving[1]
-        # 4. The lengths that must be told apart, by the convolution of shorter ones with the chains.
-        bounded = s.max_length < NO_LIMIT
+        return arriving
+
+    def _solve_lengths(self, arriving: list[np.ndarray]) -> Iterator[tuple[float, str]]:
+        """The lengths that must be told apart, by the convolution of shorter ones with the chains."""
+        s, t = self.settings, self.transport
         self.by_length = [np.zeros_like(self.first)]
-        for length in range(1, (s.max_length if bounded else s.min_length - 1) + 1):
+        for length in range(1, (s.max_length if s.max_length < NO_LIMIT else s.min_length - 1) + 1):
             light = arriving[length].copy() if length < len(arriving) else np.zeros_like(self.first)
             for segments in range(1, min(length - 1, len(t.rows) - 1) + 1):
                 rows = t.rows[segments]
@@ -180,11 +189,12 @@ class FirstPass:
                     light += t.through(t.rho * self.by_length[length - segments], rows)
             self.by_length.append(light)
             yield 0.9, f"Paths of length {length}"
-        # 5. All lengths together.
-        if bounded:
-            return
-        zero, residual = np.zeros_like(self.first), 1.0
-        for number, iterate in enumerate(jacobi(t, zero, sum(arriving), s.tolerance, s.max_iterations), 1):
+
+    def _solve(self, arriving: np.ndarray) -> Iterator[tuple[float, str]]:
+        """All lengths together, by Jacobi."""
+        s, residual = self.settings, 1.0
+        scheme = jacobi(self.transport, np.zeros_like(arriving), arriving, s.tolerance, s.max_iterations)
+        for number, iterate in enumerate(scheme, 1):
             self.total, residual = iterate.irradiance, iterate.residual
             yield 0.95, f"Iteration {number}, residual {residual:.1e}"
         if residual > s.tolerance:
@@ -195,4 +205,6 @@ class FirstPass:
         """What was found, for the view pass."""
         s = self.settings
         most = s.max_length if self.total is None else max(0, s.min_length - 1)
-        return KnownLight(self.elements, lengths_of(self.by_length, self.total, self.first, s.min_length, s.max_length), most)
+        known = KnownLight(self.elements, lengths_of(self.by_length, self.total, self.first, s.min_length, s.max_length), most)
+        known.prepare()
+        return known

@@ -1,4 +1,8 @@
-"""The dense form-factor matrix of the sides that light can reach: rays everywhere, closed forms where they hold."""
+"""The dense form-factor matrix of the sides that light can reach: rays everywhere, closed forms where they hold.
+
+F_ij is the share of the diffuse light leaving i that arrives at j (Goral, Torrance, Greenberg and Battaile 1984; review, Eq. 10 and 11).
+It is reciprocal, A_i F_ij = A_j F_ji, and closed: each row and the share of its side's light that escapes sum to 1.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +50,7 @@ def bytes_needed(sides: int, rays: int) -> int:
 
 
 class FactorMatrix:
-    """Builds the matrix step by step, so that whoever drives it can show progress and stop."""
+    """Builds the matrix step by step, so that its user can show progress and stop."""
 
     def __init__(self, elements: Elements, rays: int, closed_forms: bool = True) -> None:
         self.elements = elements
@@ -80,13 +84,28 @@ class FactorMatrix:
 
     def build(self, rho: np.ndarray) -> Iterator[float]:
         """Fill the matrix; yields the share done. Afterwards `transport` and `report` are there. `rho` (n, 3) of `sides`."""
+        n, area = len(self.sides), self.elements.area[self.sides >> 1]
+        factors, sky, mask = np.empty((n, n)), np.zeros(n), np.zeros((n, n), bool)
+        # 1. Rays everywhere, closed forms for pairs that see each other freely.
+        yield from self._cast_rows(factors, sky)
+        exact, rays, stretch = yield from self._put_closed_forms(factors, mask, area)
+        # 2. What the closed forms leave of each row is shared out among rays and sky in the proportions that the rays found.
+        sky *= stretch
+        # 3. Reciprocity and closure, in exchange areas A_i F_ij.
+        cast, reciprocity = yield from self._make_reciprocal(factors, mask, stretch, area)
+        scale = yield from self._close(factors, area * sky, area)
+        for a in range(0, n, BLOCK):
+            rows = slice(a, a + BLOCK)
+            factors[rows] *= scale[rows, None] * scale / area[rows, None]
+        self.transport = MatrixTransport(area, rho, factors, sky * scale)
+        self.report = FactorReport(n * self.rays + rays, exact, cast, reciprocity, float(np.abs(scale - 1).max(initial=0.0)))
+        yield 1.0
+
+    def _cast_rows(self, factors: np.ndarray, sky: np.ndarray) -> Iterator[float]:
+        """Fill `factors` (n, n) with the share of each side's rays that meet each side, and `sky` (n,) with that of those that escape."""
         n = len(self.sides)
-        area = self.elements.area[self.sides >> 1]
-        # 1. Ray-cast rows: the share of rays that meet each side.
         number = np.full(2 * self.elements.count + 1, n, np.int64)
         number[self.sides] = np.arange(n)
-        factors = np.empty((n, n))
-        sky = np.zeros(n)
         for done, (part, met) in enumerate(self._rows):
             index = number[part]
             column = number[met]  # -1 picks the last entry: escaped, column n
@@ -95,16 +114,22 @@ class FactorMatrix:
             factors[index] = counts[:, :n] / self.rays
             sky[index] = counts[:, n] / self.rays
             yield 0.2 * done / len(self._rows)
-        rays = n * self.rays
         self._rows = []
 
-        # 2. Closed forms for pairs that see each other freely. Rows of rays that meet far too few are a witness against.
-        mask = np.zeros((n, n), bool)
+    def _put_closed_forms(
+        self, factors: np.ndarray, mask: np.ndarray, area: np.ndarray
+    ) -> Generator[float, None, tuple[int, int, np.ndarray]]:
+        """Replace factors by closed forms where they hold and mark these in `mask` (n, n).
+
+        Returns how many pairs, the rays cast for them, and by how much (n,) the other factors of each row stretch to make up its rest.
+        """
+        n = len(area)
         exact_sum, met_sum = np.zeros(n), np.zeros(n)
-        exact = 0
+        exact = rays = 0
         for piece in exact_pairs(self.elements, self.sides) if self.closed_forms else ():
             i, j = piece.i, piece.j
             f_ij, f_ji = piece.exchange / area[i], piece.exchange / area[j]
+            # Rows of rays that meet far too few are a witness against free sight.
             free = self._plausible(factors[i, j], f_ij) & self._plausible(factors[j, i], f_ji)
             i, j, f_ij, f_ji = i[free], j[free], f_ij[free], f_ji[free]
             met_sum += np.bincount(i, factors[i, j], n) + np.bincount(j, factors[j, i], n)
@@ -114,13 +139,19 @@ class FactorMatrix:
             exact += len(i)
             rays += piece.rays
             yield 0.2 + 0.6 * float(i[-1] if len(i) else 0) / n
-
-        # 3. What the closed forms leave of each row is shared out among rays and sky in the proportions that the rays found.
         left, found = 1 - exact_sum, 1 - met_sum
         stretch = np.where(found > 1e-9, np.clip(left / np.where(found > 1e-9, found, 1), 0.5, 2.0), 1.0)
-        sky *= stretch
+        return exact, rays, stretch
 
-        # 4. Reciprocity: both directions of a ray-cast pair become the mean of their exchange areas.
+    @staticmethod
+    def _make_reciprocal(
+        factors: np.ndarray, mask: np.ndarray, stretch: np.ndarray, area: np.ndarray
+    ) -> Generator[float, None, tuple[int, float]]:
+        """Turn factors into exchange areas; both directions of a ray-cast pair become their mean.
+
+        Returns how many pairs rays have found, and the relative change, root mean square weighted by the factors.
+        """
+        n = len(area)
         change = weight = 0.0
         cast = 0
         for a in range(0, n, BLOCK):
@@ -138,16 +169,7 @@ class FactorMatrix:
                 factors[rows, columns] = mean
                 factors[columns, rows] = mean.T
             yield 0.8 + 0.1 * a / n
-
-        # 5. Closure: scale sides, symmetrically, until every row and its sky come to the area of the side.
-        scale = yield from self._close(factors, area * sky, area)
-        for a in range(0, n, BLOCK):
-            rows = slice(a, a + BLOCK)
-            factors[rows] *= scale[rows, None] * scale / area[rows, None]
-        self.transport = MatrixTransport(area, rho, factors, sky * scale)
-        closure = float(np.abs(scale - 1).max(initial=0.0))
-        self.report = FactorReport(rays, exact, cast, float(np.sqrt(change / weight)) if weight else 0.0, closure)
-        yield 1.0
+        return cast, float(np.sqrt(change / weight)) if weight else 0.0
 
     def _plausible(self, met: np.ndarray, factor: np.ndarray) -> np.ndarray:
         """Whether the share of rays that met a side is not far below its full factor (four standard deviations)."""

@@ -1,6 +1,9 @@
 """Adaptive subdivision at shadow boundaries: refines elements where direct light changes most, and spreads their light anew.
 
-The flux that an element has got from the first shots is kept; how it lies on the pieces is found by looking from them at the lights.
+The flux that an element has got from the first shots is kept; how it lies on the pieces is found by looking from them at the lights
+(after M. F. Cohen, D. P. Greenberg, D. S. Immel and P. J. Brock, "An Efficient Radiosity Approach for Realistic Image Synthesis", IEEE
+Computer Graphics and Applications, 6(3), 1986, 26-35). Where it matters little to some receivers, elements are cut less, by their
+potential (after B. E. Smits, J. R. Arvo and D. H. Salesin, "An Importance-Driven Radiosity Algorithm", SIGGRAPH 1992, 273-282).
 """
 
 from __future__ import annotations

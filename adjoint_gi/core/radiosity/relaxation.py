@@ -1,6 +1,9 @@
-"""Schemes that gather: they solve H = F (E + rho H) + H0 over any transport by Jacobi or Gauss-Seidel (review, Eq. 10 and 11).
+"""Schemes that gather: Jacobi and Gauss-Seidel, row by row (Goral, Torrance, Greenberg and Battaile 1984; review, Eq. 10 and 11).
 
-H is irradiance, E emitted radiosity, H0 irradiance that arrives from outside the elements (lamps, background); all (n, 3).
+    B(i) = E(i) + rho(i) sum_j F(ij) B(j)                                                                         (11)
+
+is solved over any transport as H = F (E + rho H) + H0, of which B = E + rho H: H is irradiance, E emitted radiosity, H0 irradiance that
+arrives from outside the elements (lamps, background); all (n, 3).
 """
 
 from __future__ import annotations

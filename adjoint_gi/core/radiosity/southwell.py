@@ -1,6 +1,10 @@
-"""The scheme that shoots: Southwell relaxation of H = F (E + rho H) + H0, column by column (review, section 7, Eq. 13 and 14).
+"""The scheme that shoots: Southwell relaxation, column by column (Cohen, Chen, Wallace and Greenberg 1988; review, Eq. 13 and 14).
 
-H is irradiance, E emitted radiosity, H0 irradiance that arrives from outside the elements (lamps, background); all (n, 3).
+    B(j) += rho(j) dB(i) F(ij) A(i) / A(j),  dB(j) likewise,  dB(i) = 0                                           (13, 14)
+
+for the side i with the most unshot flux A(i) dB(i), again and again. `Southwell` is the state on diffuse elements, kept as irradiance H
+with B = E + rho H; E is emitted radiosity, H0 irradiance that arrives from outside the elements (lamps, background); all (n, 3).
+`Grouping` and `Shooting` are the scheme over any state.
 """
 
 from __future__ import annotations
@@ -147,7 +151,7 @@ class Shooting:
 
 
 class Southwell:
-    """Shooting: the sides with the most unshot flux send it out, and everything they light gets it to send on (Cohen 1988, Eq. 13, 14).
+    """What has been shot and what has not: sides send their unshot flux, and everything they light gets it to send on (Eq. 13, 14).
 
     direct, indirect   (n, 3) irradiance so far, of the path lengths asked for
     first              (n, 3) irradiance so far of one segment, whether asked for or not
@@ -247,6 +251,7 @@ class Southwell:
 
     def shoot(self, index: np.ndarray, rays: np.ndarray) -> None:
         """Send the unshot light of sides `index` (m,), all at once, with `rays` (m,) rays each."""
+        # dB(i) is sent and becomes 0 (Eq. 14).
         out = self.unshot[:, index]
         if self.overshoot:
             out[-1] += self._expected(index)
@@ -256,6 +261,7 @@ class Southwell:
         # Classes in which nobody has anything are not carried along.
         used = np.flatnonzero(out.any(axis=(1, 2)))
         flat = out[used].transpose(1, 0, 2).reshape(len(index), 3 * len(used))
+        # dB(i) F(ij) A(i) / A(j) arrives; rho(j) of it is unshot there (Eq. 13).
         arrived, escaped = self.transport.shoot(index, flat, rays)
         full = np.zeros((classes, len(self.direct), 3))
         full[used] = arrived.reshape(-1, len(used), 3).transpose(1, 0, 2)
