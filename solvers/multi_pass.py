@@ -136,7 +136,7 @@ class _Blend:
     def __init__(self, run: Run, elements: Elements, emitters: Emitters) -> None:
         self.run, self.elements, self.settings = run, elements, run.settings
         s = run.settings
-        # Whole paths are traced where their length is bounded, as radiosity does not tell lengths apart.
+        # Whole paths are traced where their length is bounded, as radiosity has all lengths together.
         self.reads = s.max_length >= NO_LIMIT and s.min_length <= 2
         self.chains = Chains(run.world, s.depth)
         self.outside = OutsideLight(elements, emitters, self.chains, s.light_samples, s.particles)

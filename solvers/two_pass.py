@@ -134,7 +134,7 @@ class TwoPass(Solver):
 class FirstPass:
     """Extended radiosity of the elements.
 
-    chains, outside, transport; by_length: irradiance (2 ne, 3) of each length that had to be told apart; total of all, or None
+    chains, outside, transport; by_length: irradiance (2 ne, 3) of each length that is needed alone; total of all, or None
     """
 
     def __init__(self, elements: Elements, emitters: Emitters, settings: TwoPassSettings, all_sides: bool) -> None:
@@ -160,7 +160,7 @@ class FirstPass:
         sides = np.arange(len(t.area)) if self.all_sides else np.flatnonzero(t.rho.max(axis=1) > 0)
         for share in t.build(sides):
             yield 0.4 + 0.5 * share, f"Extended form factors of {len(sides):,} element sides"
-        # 3. The system (Eq. 11): lengths that must be told apart one after another, then all together.
+        # 3. The system (Eq. 11): lengths that are needed alone, one after another; then all together.
         arriving = yield from self._arrive()
         yield from self._solve_lengths(arriving)
         if self.settings.max_length >= NO_LIMIT:
@@ -178,7 +178,7 @@ class FirstPass:
         return arriving
 
     def _solve_lengths(self, arriving: list[np.ndarray]) -> Iterator[tuple[float, str]]:
-        """The lengths that must be told apart, by the convolution of shorter ones with the chains."""
+        """The lengths that are needed alone, by the convolution of shorter ones with the chains."""
         s, t = self.settings, self.transport
         self.by_length = [np.zeros_like(self.first)]
         for length in range(1, (s.max_length if s.max_length < NO_LIMIT else s.min_length - 1) + 1):

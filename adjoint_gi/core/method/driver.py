@@ -166,7 +166,7 @@ class Driver:
                 rng = np.random.default_rng(self.settings.seed)
                 self._steps = iter(self.solver.solve(self.world, self.receivers, self.settings, rng))
             state = self._advance(on_step)
-        except BaseException as error:  # whatever ends the thread has to be told to the user, and the last result kept
+        except BaseException as error:  # the user must learn what has ended the thread, and the last result is kept
             self.error = error
         finally:
             self._spent, self._since = self.seconds, None

@@ -26,8 +26,8 @@ FEWEST, MOST = 8, 1 << 17  # rays of one shot
 AT_ONCE = 1 << 14  # sides that shoot together at most
 
 
-class Shot(Protocol):
-    """What Southwell's scheme shoots from: `Southwell` on diffuse elements, `HarmonicShooting` where radiance depends on direction.
+class ShootingState(Protocol):
+    """What Southwell's scheme works on: `Southwell` on diffuse elements, `HarmonicShooting` where radiance depends on direction.
 
     total   emitted flux in W, the channels summed; shots: sides that have shot
     absorbed, escaped   (3,) float64 flux in W by channel
@@ -76,7 +76,7 @@ class Grouping:
         fewest = self.fewest(index) if callable(self.fewest) else self.fewest
         return np.clip(np.ceil(self.carriers * flux / max(total, 1e-300)), fewest, self.most).astype(np.int64)
 
-    def next(self, state: Shot, shots_left: int = 1 << 62) -> tuple[np.ndarray, np.ndarray]:
+    def next(self, state: ShootingState, shots_left: int = 1 << 62) -> tuple[np.ndarray, np.ndarray]:
         """The sides (m,) that shoot next, at most `shots_left`, and the rays (m,) of each; none where nothing is unshot."""
         index, flux = state.largest(min(self.sides, shots_left))
         rays = self.rays(index, flux, state.total)
@@ -92,7 +92,7 @@ class Shooting:
 
     def __init__(
         self,
-        state: Shot,
+        state: ShootingState,
         grouping: Grouping,
         tolerance: float,
         max_shots: int = 1 << 62,
@@ -241,7 +241,7 @@ class Southwell:
     def ambient(self) -> np.ndarray:
         """(3,) irradiance that the unshot light would give everywhere it can come, reflected on for ever (Cohen 1988).
 
-        Cohen's scenes are closed. In open ones a share of what is sent escapes; the shots so far tell it, so before them this is 0.
+        Cohen's scenes are closed. In open ones a share of what is sent escapes; the shots so far show which, so before them this is 0.
         """
         area = self.transport.area * self.reached
         whole = max(float(area.sum()), 1e-300)
@@ -293,6 +293,6 @@ def most_first(flux: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     return index, flux[index]
 
 
-def balance(state: Shot) -> EnergyBalance:
+def balance(state: ShootingState) -> EnergyBalance:
     """Flux summed over the channels; light cut off by the path length counts as unshot."""
     return EnergyBalance(state.total, float(state.absorbed.sum()), float(state.escaped.sum()), float(state.remaining().sum()))

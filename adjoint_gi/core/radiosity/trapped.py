@@ -38,7 +38,7 @@ class Trap:
     def check(self, elements: Elements) -> None:
         """Look at what has been sent since the last look that saw enough. Raises SceneError where light is caught."""
         state = self.state
-        if state.overshoot:  # sends light that it takes back later, so losses tell nothing
+        if state.overshoot:  # sends light that it takes back later, so losses mean nothing
             return
         sent, lost = state.sent - self._sent, state.absorbed + state.escaped - self._lost
         left = state.remaining() - state.cut
