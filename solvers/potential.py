@@ -161,13 +161,13 @@ class Potential(Solver):
         yield from run.step(0.2, "Receivers on elements")
 
         # 2. F_ij among the sides that see the receivers by reflections.
-        for share, text in system.by_rays() if s.factors == "rays" else system.by_matrix():
+        for share, text in system.find_factors(s.factors):
             yield from run.step(0.2 + 0.6 * share, text)
         run.rays = system.rays
 
-        # 3. The system, by iterations.
+        # 3. W = g + T* W, by iterations.
         residual = 0.0
-        for residual in (system.southwell() if s.scheme == "southwell" else system.jacobi()) if len(system.sides) else ():
+        for residual in system.relax(s.scheme):
             run.note(residual)
             if residual <= s.tolerance or len(run.history) >= s.max_iterations:
                 break

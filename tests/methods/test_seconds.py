@@ -83,3 +83,22 @@ def test_methods_have_no_other_clock():
     inside = {p.relative_to(core).as_posix() for p in files if p.parent != core / "comparison"}
     assert inside == {"method/clock.py", "method/driver.py"}
     assert clocks("from time import monotonic\nimport time") == ["monotonic", "time"]
+
+
+def test_the_clock_stands_still_while_a_step_is_held_and_after_the_last(monkeypatch):
+    time = Time()
+    monkeypatch.setattr(clock, "time", SimpleNamespace(perf_counter=time.perf_counter))
+    watch = clock.Clock()
+    held = watch.pause("step")
+    assert next(held) == "step"
+    worked = watch.seconds
+    time.now += 100
+    assert watch.seconds == worked > 0
+    assert list(held) == [] and worked < watch.seconds < 1
+    assert watch.due() == (2 * TICK >= clock.PAUSE)
+    assert list(watch.last("end")) == ["end"]
+    worked = watch.seconds
+    time.now += 100
+    assert watch.seconds == worked
+    watch.go()
+    assert worked < watch.seconds < worked + 1

@@ -42,9 +42,18 @@ class PotentialSystem:
         self.rays = 0
         self.transport: Transport
 
-    # ---- form factors; both yield the share done and what is being done
+    def find_factors(self, how: str) -> Iterator[tuple[float, str]]:
+        """Form factors as a "matrix" or along fixed "rays"; yields the share done and what is being done."""
+        yield from self._by_rays() if how == "rays" else self._by_matrix()
 
-    def by_matrix(self) -> Iterator[tuple[float, str]]:
+    def relax(self, scheme: str) -> Iterator[float]:
+        """Solve by "jacobi" or "southwell"; yields what is left, as a share, after every iteration."""
+        if len(self.sides):
+            yield from self._southwell() if scheme == "southwell" else self._jacobi()
+
+    # ---- form factors
+
+    def _by_matrix(self) -> Iterator[tuple[float, str]]:
         """All form factors of the sides that rays reach from the receivers."""
         matrix = FactorMatrix(self.elements, self.per_side)
         for known in matrix.discover(np.flatnonzero(self.g.any(axis=1))):
@@ -55,7 +64,7 @@ class PotentialSystem:
                 yield 0.5 + 0.5 * share, f"Form factors of {len(self.sides):,} element sides"
             self.transport, self.rays = matrix.transport, matrix.report.rays
 
-    def by_rays(self) -> Iterator[tuple[float, str]]:
+    def _by_rays(self) -> Iterator[tuple[float, str]]:
         """A fixed set of rays from every side."""
         total = 2 * self.elements.count
         self.sides = np.arange(total)
@@ -68,9 +77,9 @@ class PotentialSystem:
         target = np.concatenate(targets).astype(np.int64)
         self.transport = RayTransport(area, rho, np.repeat(self.sides, self.per_side), target)
 
-    # ---- schemes; both yield what is left, as a share, after every iteration
+    # ---- schemes
 
-    def jacobi(self) -> Iterator[float]:
+    def _jacobi(self) -> Iterator[float]:
         """W = g + T* g + T*^2 g + ...: term k is the potential by k reflections. Yields the last term's share of all."""
         area = np.repeat(self.elements.area, 2)[self.sides, None]
         term = self.g[self.sides]
@@ -84,7 +93,7 @@ class PotentialSystem:
             yield float((area * term).sum()) / scale if scale else 0.0
         yield 0.0
 
-    def southwell(self) -> Iterator[float]:
+    def _southwell(self) -> Iterator[float]:
         """The sides with the most potential left pass on what they reflect of it. Yields the share that is left."""
         g = self.g[self.sides]
         state = Southwell(self.transport, self.transport.rho * g, np.zeros_like(g), self.low, self.high)
