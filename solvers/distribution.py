@@ -189,7 +189,7 @@ class Tracer:
             if not len(go):
                 continue
             origin, wi = radiance.departure(walk, surface, scattered, go)
-            hit = walk.world.intersect(origin, wi)
+            hit = walk.world.intersect(origin, wi, scattered.kind[go])
             rays += len(go)
             weight = scattered.weight[go] / np.float32(s.brdf_samples)
             delta = scattered.delta[go]

@@ -22,13 +22,15 @@ from ..adjoint_gi.core.base import settings as base
 from ..adjoint_gi.core.base.parallel import in_order
 from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf.lobes import DIFFUSE_LOBES
-from ..adjoint_gi.core.bsdf.table import BsdfTable, frame
+from ..adjoint_gi.core.bsdf.table import BsdfTable
 from ..adjoint_gi.core.lights.direct import direct_irradiance
 from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.registry import GATHERING, NONDETERMINISTIC, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Receivers
+from ..adjoint_gi.core.sampling.maps import frame_rows
+from ..adjoint_gi.core.scene.arrays import RayKind
 from ..adjoint_gi.core.scene.world import Surface, World
 from ..adjoint_gi.core.walks.gathering import Run, sliced
 from ..adjoint_gi.core.walks.irradiance_records import RecordIndex, Records, gradients, hemisphere
@@ -164,15 +166,15 @@ class _State:
         """Records at some points: stratified rays over the hemisphere, each followed by a random walk."""
         world, n = self.world, len(which)
         position, ng, ns = surface.position[which], surface.ng[which], surface.ns[which]
-        x, y = frame(ns)
+        x, y = frame_rows(ns)
         local, _ = hemisphere(self.rows, self.cols, rng, n)
         d = local[..., :1] * x[:, None, None] + local[..., 1:2] * y[:, None, None] + local[..., 2:] * ns[:, None, None]
         direction = np.ascontiguousarray(d.reshape(-1, 3), np.float32)
         many = self.rows * self.cols
-        origin = np.repeat(position + np.float32(world.offset) * ng, many, axis=0)
+        origin = np.repeat(world.lifted(position, ng), many, axis=0)
         # Rays below the geometric surface bring nothing.
         up = np.einsum("ij,ij->i", direction, np.repeat(ng, many, axis=0)) > 0
-        triangle, u, v, t = world.intersect(origin, direction)
+        triangle, u, v, t = world.intersect(origin, direction, RayKind.DIFFUSE)
         hit = np.flatnonzero((triangle >= 0) & up)
         there = world.surface(triangle[hit], u[hit], v[hit], -direction[hit])
         found = gather(self.walk, there, lobes_of(self.walk, there, -direction[hit]), rng, first_length=2)

@@ -31,10 +31,10 @@ from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.registry import DETERMINISTIC, GATHERING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Receivers
-from ..adjoint_gi.core.scene.arrays import Lobe, constant_of
+from ..adjoint_gi.core.scene.arrays import Lobe, RayKind, constant_of
 from ..adjoint_gi.core.scene.world import Surface, World
 from ..adjoint_gi.core.walks.gathering import Run
-from ..adjoint_gi.core.walks.radiance import Gathered, take
+from ..adjoint_gi.core.walks.radiance import Gathered
 
 FRONT = 1 << 14  # rays that are followed at once
 MANY = 8  # glass surfaces after which rays that are all followed are very many
@@ -141,16 +141,17 @@ def _is_rough(lobe: Lobe) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Front:
-    """Rays under way: the receiver point (m,) that each is for, origin, wi and weight (m, 3)."""
+    """Rays under way: the receiver point (m,) that each is for, origin, wi and weight (m, 3), and their `RayKind` (m,)."""
 
     row: np.ndarray
     origin: np.ndarray
     wi: np.ndarray
     weight: np.ndarray
+    kind: np.ndarray
 
     def take(self, which: np.ndarray | slice) -> Front:
         """Some of the rays."""
-        return Front(self.row[which], self.origin[which], self.wi[which], self.weight[which])
+        return Front(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
 
 class Tracer:
@@ -180,7 +181,7 @@ class Tracer:
             return Gathered(direct, indirect, rays)
 
         # Step 1: the visible points themselves. Rows are all different here, so plain addition does.
-        front = Front(np.arange(n), np.zeros((n, 0), np.float32), -wo, np.ones((n, 3), np.float32))
+        front = Front(np.arange(n), np.zeros((n, 0), np.float32), -wo, np.ones((n, 3), np.float32), np.full(n, RayKind.CAMERA))
         lit, ambient, nexts, rays = self._shade(surface, front, 1)
         direct += lit
         indirect += ambient
@@ -202,7 +203,7 @@ class Tracer:
     def _follow(self, front: Front, depth: int) -> tuple[np.ndarray, np.ndarray, list[Front], int]:
         """One step of rays that make paths of length `depth`: emission met and light reflected, (m, 3) each, new rays, rays cast."""
         s = self.settings
-        triangle, u, v, t = self.world.intersect(front.origin, front.wi)
+        triangle, u, v, t = self.world.intersect(front.origin, front.wi, front.kind)
         hit = np.flatnonzero(triangle >= 0)
         surface = self.world.surface(triangle[hit], u[hit], v[hit], -front.wi[hit])
         found, reflected = np.zeros_like(front.weight), np.zeros_like(front.weight)
@@ -237,7 +238,7 @@ class Tracer:
             for which, sum_up in ((~shiny & (rest.diffuse.max(axis=1) > 0), self._diffuse), (shiny, self._shiny)):
                 able = np.flatnonzero(which)
                 if len(able):
-                    lit[able], cast = sum_up(take(surface, able), rest.take(able))
+                    lit[able], cast = sum_up(surface.take(able), rest.take(able))
                     rays += cast
             lit *= front.weight
         if s.ambient > 0 and length < s.max_length:
@@ -288,8 +289,9 @@ class Tracer:
         strength = weight.max(axis=1)
         keep = np.flatnonzero(above & (strength > 0) & (strength >= self.settings.contribution))
         rows = rows[keep]
-        origin = surface.position[rows] + side * np.float32(self.world.offset) * surface.ng[rows]
-        return Front(front.row[rows], np.ascontiguousarray(origin), np.ascontiguousarray(branch.wi[keep]), weight[keep])
+        kind = np.full(len(rows), RayKind.TRANSMISSION if branch.through else RayKind.GLOSSY)
+        origin = self.world.leave(surface.take(rows), np.full(len(rows), branch.through))
+        return Front(front.row[rows], np.ascontiguousarray(origin), np.ascontiguousarray(branch.wi[keep]), weight[keep], kind)
 
 
 def irradiance(world: World, points: LightPoints, surface: Surface) -> tuple[np.ndarray, int]:

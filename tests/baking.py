@@ -18,6 +18,7 @@ from adjgi.adjoint_gi.bridge.results.links import RESULTS, link
 from adjgi.adjoint_gi.core.base.errors import AdjointError
 from adjgi.adjoint_gi.core.method import registry
 from adjgi.adjoint_gi.core.receivers.texels import Lightmap
+from adjgi.adjoint_gi.core.scene.arrays import RayKind
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import load
 
@@ -106,7 +107,7 @@ def doubled(baked: Baked, distance: float = 2e-3) -> np.ndarray:
     for side in (1.0, -1.0):
         normal = (side * surface.ng).astype(np.float32)
         origin = np.ascontiguousarray(surface.position + np.float32(distance) * normal, np.float32)
-        hit, _, _, t = world.intersect(origin, np.ascontiguousarray(-normal))
+        hit, _, _, t = world.intersect(origin, np.ascontiguousarray(-normal), RayKind.CAMERA)
         mixed |= (hit != receivers.triangle) & (t < 2 * distance)
     count = np.add.reduceat(mixed.astype(int), receivers.start[:-1])
     return baked.lightmap.image((count > 0).astype(np.float32))[..., 0] > 0

@@ -126,8 +126,8 @@ BUGS = (
     Bug(
         "texels half a texel off",
         "adjoint_gi/core/receivers/texels.py",
-        "    return (0.5 + k * np.array([1 / g, 1 / g**2])) % 1.0",
-        "    return (0.0 + k * np.array([1 / g, 1 / g**2])) % 1.0",
+        "additive(np.arange(subsamples), STEPS[2], 0.5)",
+        "additive(np.arange(subsamples), STEPS[2], 0.0)",
         "tests/core/test_lightmap.py",
     ),
     Bug(

@@ -14,6 +14,7 @@ from adjgi.adjoint_gi.core.base.errors import TargetError
 from adjgi.adjoint_gi.core.lights.direct import direct_irradiance
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method import registry
+from adjgi.adjoint_gi.core.scene.arrays import RayKind
 from adjgi.tests.baking import bake, request
 
 COARSE = {"max_edge": 0.25, "light_samples": 8}
@@ -126,7 +127,7 @@ def test_adaptive_elements_are_smaller_at_the_shadow_and_hold_the_light_there(do
     world = done.world
     inside = (place[:, :2] > 0.05).all(axis=1) & (place[:, :2] < 0.95).all(axis=1)
     origin = (place - world.center + (0, 0, 0.01)).astype(np.float32)
-    triangle, u, v, _ = world.intersect(origin, np.tile(np.array([[0, 0, -1]], np.float32), (len(place), 1)))
+    triangle, u, v, _ = world.intersect(origin, np.tile(np.array([[0, 0, -1]], np.float32), (len(place), 1)), RayKind.CAMERA)
     truth = direct_irradiance(world, Emitters(world), world.surface(triangle, u, v), 256, np.random.default_rng(0))[0][:, 0]
     value = colors(made, linked_attribute(made, "irradiance"))
     value = value if domain == "POINT" else value[np.unique(loops, return_index=True)[1]]

@@ -9,7 +9,7 @@ from adjgi.adjoint_gi.core.elements.answer import ElementAnswer, element_solutio
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements, parallelograms
 from adjgi.adjoint_gi.core.elements.refinement import RefinedElements, contrast, over_base, smoothed
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material, Source, Term, Texture
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material, RayKind, Source, Term, Texture
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
@@ -300,7 +300,7 @@ def test_smooth_values_do_not_crack_where_large_elements_meet_small_ones(scene):
     for step in (-1e-4, 1e-4):
         up = elements.normal[index]
         origin = (edge + step * (edge - elements.centroid[index]) + 1e-3 * up).astype(np.float32)
-        triangle, u, v, t = elements.world.intersect(origin, np.ascontiguousarray(-up, np.float32))
+        triangle, u, v, t = elements.world.intersect(origin, np.ascontiguousarray(-up, np.float32), RayKind.CAMERA)
         on = (triangle >= 0) & (t < 2e-3) & (elements.patch_of[triangle] == elements.patch[index])
         element, a, b = elements.cell(np.maximum(triangle, 0), u, v)
         found.append((elements.nodes.at(values, 2 * element, a, b)[:, 0], on))

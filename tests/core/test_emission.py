@@ -8,8 +8,9 @@ import math
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.lights.emission import Emission
-from adjgi.adjoint_gi.core.lights.outgoing import cone_directions, cosine_directions, disk
-from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, Source, Term, Texture
+from adjgi.adjoint_gi.core.lights.outgoing import cone_directions
+from adjgi.adjoint_gi.core.sampling.maps import cosine_directions, disk
+from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, RayKind, Source, Term, Texture
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 
@@ -307,7 +308,7 @@ def test_a_constant_background_gives_pi_times_radiance_on_each_side():
     triangles = []
 
     def inside(p):
-        hit = world.intersect(p.origin, p.direction)[0]
+        hit = world.intersect(p.origin, p.direction, RayKind.CAMERA)[0]
         triangles.append((p.direction[hit >= 0, 2] < 0).mean())
         return hit >= 0
 

@@ -10,7 +10,7 @@ from adjgi.adjoint_gi.core.lights import direct
 from adjgi.adjoint_gi.core.lights.direct import direct_irradiance
 from adjgi.adjoint_gi.core.lights.emitters import MOST_LAMPS, Emitters
 from adjgi.adjoint_gi.core.sampling.maps import columns
-from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, Source, Term, Texture
+from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, RayKind, Source, Term, Texture
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.faces import Faces
 from adjgi.adjoint_gi.core.scene.world import World
@@ -385,8 +385,8 @@ def test_mesh_density_is_the_same_from_both_sides():
     assert 0.1 < s.delta.mean() < 0.9 and (s.radiance[~s.delta] == 1).all()
     mesh = np.flatnonzero(~s.delta)
     origin = world.leave(at(world, 0.6, 0.3, n=n))
-    assert not world.occluded(origin[mesh], s.wi[mesh], s.distance[mesh]).any()
-    triangle, _, _, t = world.intersect(origin[mesh], np.ascontiguousarray(s.wi[mesh]))
+    assert not world.occluded(origin[mesh], s.wi[mesh], s.distance[mesh], RayKind.SHADOW).any()
+    triangle, _, _, t = world.intersect(origin[mesh], np.ascontiguousarray(s.wi[mesh]), RayKind.CAMERA)
     assert (triangle >= 2).all()
     assert np.allclose(emitters.pdf(triangle, s.wi[mesh], t), s.pdf_w[mesh], rtol=1e-3)
     assert (emitters.pdf(np.full(3, -1), s.wi[:3], s.distance[:3]) == 0).all()

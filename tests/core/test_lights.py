@@ -22,7 +22,7 @@ from adjgi.adjoint_gi.core.lights.point import PointLights
 from adjgi.adjoint_gi.core.lights.spot import SpotLights
 from adjgi.adjoint_gi.core.lights.sun import SunLights
 from adjgi.adjoint_gi.core.sampling import maps
-from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, Source, Term, Texture
+from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, RayKind, Source, Term, Texture
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 
@@ -99,7 +99,7 @@ def look(world, kind, o, w):
     """Radiance (3, n) that rays see of the light and the density of their directions (n,), 0 where they do not meet it."""
     n = w.shape[1]
     radiance, pdf = np.zeros((3, n), np.float32), np.zeros(n, np.float32)
-    triangle, u, v, t = world.intersect(np.ascontiguousarray(o.T), np.ascontiguousarray(w.T))
+    triangle, u, v, t = world.intersect(np.ascontiguousarray(o.T), np.ascontiguousarray(w.T), RayKind.CAMERA)
     if isinstance(kind, LampKind):
         # Samples are taken without shadows, so what stands in the way does not count.
         found = kind.seen(0, o, w, np.full(n, np.inf, np.float32))

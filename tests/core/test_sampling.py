@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.sampling import maps as sampling
 from adjgi.adjoint_gi.core.sampling import sobol as low_discrepancy
+from adjgi.adjoint_gi.core.sampling.additive import STEPS, additive
 from adjgi.adjoint_gi.core.sampling.maps import PowerTable, dot
 
 # Standard deviations that a sound sampler exceeds once in a thousand runs of the 30 tests here (Sidak).
@@ -82,7 +83,8 @@ def test_cosine_hemisphere(axis):
 def test_cosine_hemisphere_at_the_pole_opposite_the_normal():
     normal = np.array([[0, 0], [0, 0], [1, 1]], np.float32)
     w, cosine = sampling.cosine_hemisphere(normal, np.array([1, 1 - 2**-24], np.float32), np.zeros(2, np.float32))
-    assert np.isfinite(w).all() and (cosine < 1e-3).all() and (cosine >= 0).all()
+    assert np.isfinite(w).all() and np.allclose(dot(w, w), 1, atol=1e-6)
+    assert np.allclose(dot(w, normal), cosine, atol=1e-6) and cosine[0] == 1 and 0 <= cosine[1] < 1e-3
 
 
 @pytest.mark.parametrize("axis", AXES)
@@ -183,3 +185,36 @@ def test_each_point_is_uniform_over_receivers(index):
     assert x.min() >= 0 and x.max() < 1
     for a, b in ((0, 1), (2, 3), (4, 7)):
         assert abs(chi_square(grid(x[a], x[b]), np.full(144, 1 / 144))) < Z
+
+
+@pytest.mark.parametrize("dimensions", STEPS)
+def test_steps_are_powers_of_the_root(dimensions):
+    x = 2.0
+    for _ in range(200):
+        x = (1 + x) ** (1 / (dimensions + 1))
+    assert np.allclose(STEPS[dimensions], x ** -np.arange(1, dimensions + 1), rtol=4e-16, atol=0)
+
+
+def test_additive_points_are_even_and_move_with_the_shift():
+    n = 1 << 12
+    points = additive(np.arange(n), STEPS[2], 0.5)
+    assert points.shape == (2, n) and (points[:, 0] == 0.5).all() and (points >= 0).all() and (points < 1).all()
+    cells = np.bincount((points * 16).astype(int).T @ np.array([16, 1]), minlength=256)
+    assert cells.min() >= 13 and cells.max() <= 19  # 16 on average; independent points would spread by 4
+    moved = additive(np.arange(n), STEPS[2], 0.5, np.array([[0.25], [0.75]]))
+    assert np.allclose((moved - points - [[0.25], [0.75]]) % 1.0 % (1 - 1e-12), 0, atol=1e-9)
+
+
+def test_polar_directions_are_unit_above_the_horizon_and_follow_the_cosine():
+    u, v = uniform(9)
+    w = sampling.polar(u, sampling.TWO_PI * v)
+    assert np.allclose(dot(w, w), 1, atol=1e-5) and (sampling.polar(np.ones(1, np.float32), np.zeros(1, np.float32))[2] > 0).all()
+    c, phi = turn(w.astype(float), *np.eye(3))
+    assert abs(chi_square(grid(c * c, phi), np.full(144, 1 / 144))) < Z
+
+
+def test_cosine_directions_are_the_same_in_rows():
+    x = np.random.default_rng(3).normal(size=(3, 1000)).astype(np.float32)
+    x /= np.sqrt(dot(x, x))
+    u, v = (a[:1000] for a in uniform(4))
+    assert (sampling.cosine_directions(x.T, u, v) == sampling.cosine_hemisphere(x, u, v)[0].T).all()

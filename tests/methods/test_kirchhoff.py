@@ -13,6 +13,7 @@ import pytest
 from adjgi.adjoint_gi.core.bsdf import table as bsdf
 from adjgi.adjoint_gi.core.lights.emission import Particles
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
+from adjgi.adjoint_gi.core.sampling.maps import frame_rows
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder
 from adjgi.adjoint_gi.core.scene.world import World
@@ -65,7 +66,7 @@ def albedo_table(table, entries=64):
         wo = np.array([np.sqrt(1 - mu * mu), 0, mu])
         # Directions about the mirror direction, where the lobe is: the hemisphere's grid turned there; what falls below is left out.
         mirror = wo * (-1, -1, 1)
-        x, y = bsdf.frame(mirror[None].astype(np.float32))
+        x, y = frame_rows(mirror[None].astype(np.float32))
         wi = fixed[:, :1] * x + fixed[:, 1:2] * y + fixed[:, 2:] * mirror
         below = -fixed[:, :1] * x - fixed[:, 1:2] * y - fixed[:, 2:] * mirror
         total = np.zeros(3)
@@ -87,7 +88,7 @@ def start(world, count, rng):
     surface = world.surface(points.triangle[pick], points.u[pick], points.v[pick])
     z, phi = rng.random(count) * 0.95 + 0.05, 2 * np.pi * rng.random(count)
     r = np.sqrt(1 - z * z)
-    x, y = bsdf.frame(surface.ng)
+    x, y = frame_rows(surface.ng)
     wo = (r * np.cos(phi))[:, None] * x + (r * np.sin(phi))[:, None] * y + z[:, None] * surface.ng
     return surface, wo.astype(np.float32)
 
@@ -137,7 +138,7 @@ def test_particles_bring_the_irradiance_of_radiance_one(name):
     a, b = rng.random((2, n))
     s = np.sqrt(a)
     surface = world.surface(triangle, (1 - s).astype(np.float32), (b * s).astype(np.float32))
-    x, y = bsdf.frame(surface.ng)
+    x, y = frame_rows(surface.ng)
     r, phi = np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
     z = np.sqrt(1 - r * r)
     direction = ((r * np.cos(phi))[:, None] * x + (r * np.sin(phi))[:, None] * y + z[:, None] * surface.ng).astype(np.float32)

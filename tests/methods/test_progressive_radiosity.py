@@ -16,7 +16,7 @@ from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.radiosity import importance as adaptive
 from adjgi.adjoint_gi.core.radiosity.southwell import LARGEST_BATCH
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.scene.arrays import Light
+from adjgi.adjoint_gi.core.scene.arrays import Light, RayKind
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import load
@@ -270,7 +270,7 @@ def floor_texels(world, count=48):
     x = (np.arange(count) + 0.5) / count
     x, y = (a.ravel() for a in np.meshgrid(x, x))
     origin = np.stack([x, y, np.full(len(x), 0.01)], axis=1) - world.center
-    triangle, u, v, _ = world.intersect(origin.astype(np.float32), np.tile(np.array([[0, 0, -1]], np.float32), (len(x), 1)))
+    triangle, u, v, _ = world.intersect(origin.astype(np.float32), np.tile(np.array([[0, 0, -1]], np.float32), (len(x), 1)), RayKind.CAMERA)
     return SurfaceReceivers("texels", np.arange(len(x) + 1), triangle, u, v)
 
 

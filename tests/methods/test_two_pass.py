@@ -11,7 +11,7 @@ from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material, RayKind
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks import radiance
@@ -99,7 +99,7 @@ def test_eleven_mirror_is_the_room_beyond():
     answers = []
     for world, gather in ((cube, False), (cube, True), (room, False)):
         origin = np.array([[x, y, 0.01]], np.float32) - world.center.astype(np.float32)
-        triangle, u, v, _ = world.intersect(origin, np.array([[0, 0, -1]], np.float32))
+        triangle, u, v, _ = world.intersect(origin, np.array([[0, 0, -1]], np.float32), RayKind.CAMERA)
         texel = SurfaceReceivers("texels", [0, 1], triangle, u, v)
         solver = method("two_pass")
         options = solver.Settings(samples=4096, rays=256, max_edge=0.125, gather=gather)
@@ -200,13 +200,13 @@ def test_chains_tell_how_far_and_over_what_they_went():
     n = 100
     origin = np.tile(np.array([[0, 0, 0]], np.float32), (n, 1))
     wi = np.tile(np.array([[0, 0, -1]], np.float32), (n, 1))
-    met = list(chains.follow(origin, wi, np.random.default_rng(0)))
+    met = list(chains.follow(origin, wi, RayKind.DIFFUSE, np.random.default_rng(0)))
     assert [m.segments for m in met] == [1, 2]
     assert met[0].clear.all() and met[1].clear.all()
     assert np.allclose(met[1].weight, 1) and (met[1].surface.triangle >= 2).all()
     assert not met[1].sent.any()
     # A depth of none ends at the mirror.
-    assert [m.segments for m in Chains(world, 0).follow(origin, wi, np.random.default_rng(0))] == [1]
+    assert [m.segments for m in Chains(world, 0).follow(origin, wi, RayKind.DIFFUSE, np.random.default_rng(0))] == [1]
 
 
 def test_same_first_pass_for_any_number_of_threads(monkeypatch):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...core.base.color import luminance
 from ...core.images.exr import write_exr
 from ...core.images.png import write_png
 from ...core.method.driver import Driver
@@ -16,16 +17,14 @@ from ..host import files
 from .passes import Geometry, pixels
 from .render_engine import Plan
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
-
 
 def exposure(values: np.ndarray) -> float:
     """A whole number of stops (as a factor) that brings the bright parts of `values` (n, 3) below 1; 1 where they are about right."""
-    luminance = values.reshape(-1, values.shape[-1])[:, :3] @ LUMINANCE
-    luminance = luminance[luminance > 0]
-    if not len(luminance):
+    found = luminance(values.reshape(-1, values.shape[-1])[:, :3])
+    found = found[found > 0]
+    if not len(found):
         return 1.0
-    bright = float(np.percentile(luminance, 95))
+    bright = float(np.percentile(found, 95))
     return 1.0 if 0.25 <= bright <= 1.0 else float(2.0 ** -np.ceil(np.log2(bright)))
 
 

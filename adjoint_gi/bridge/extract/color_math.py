@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ...core.base.color import LUMINANCE
 from ...core.scene.arrays import Color, Rgb, Source, Term
 from .images import Images
 
-LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec.709, as Cycles turns a colour into a number
 LARGEST_POLYNOMIAL = 64  # terms
 
 

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import bpy
 import numpy as np
 
+from ...core.base.color import luminance
 from ...core.scene.arrays import Color
-from .color_math import LUMINANCE
 from .nodes import Place
 
 Mapping = Callable[[np.ndarray], np.ndarray]
@@ -134,7 +134,7 @@ def _hsv(node: bpy.types.Node, n: dict[str, float]) -> Mapping:
 
 
 def _grey(node: bpy.types.Node, n: dict[str, float]) -> Mapping:
-    return lambda c: np.repeat(c @ np.array(LUMINANCE, np.float32).reshape(3, 1), 3, axis=1)
+    return lambda c: np.repeat(luminance(c)[:, None], 3, axis=1)
 
 
 def _ramp(node: bpy.types.Node, n: dict[str, float]) -> Mapping:

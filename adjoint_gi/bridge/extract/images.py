@@ -15,6 +15,7 @@ import threading
 import bpy
 import numpy as np
 
+from ...core.base.color import decode_srgb, encode_srgb
 from ...core.scene.arrays import Texture
 from ..host.notices import Notices
 from .image_header import sequence_file, stored_size
@@ -174,13 +175,13 @@ class Images:
         if space not in LINEAR:
             if space != "sRGB":
                 self._notices.add(name, f'has the colour space "{space}"; it is read as sRGB', "Convert it to sRGB or to a float image")
-            pixels[:, :, :3] = srgb_to_linear(pixels[:, :, :3])
+            pixels[:, :, :3] = decode_srgb(pixels[:, :, :3])
         return pixels
 
     def _multiply_stored(self, pixels: np.ndarray, space: str, name: str) -> None:
         """Multiply linear colours by alpha in the encoding of the file, in place."""
         if space == "sRGB":
-            pixels[:, :, :3] = srgb_to_linear(linear_to_srgb(pixels[:, :, :3]) * pixels[:, :, 3:4])
+            pixels[:, :, :3] = decode_srgb(encode_srgb(pixels[:, :, :3]) * pixels[:, :, 3:4])
             return
         pixels[:, :, :3] *= pixels[:, :, 3:4]
         if space not in LINEAR and not space.startswith(("Linear", "ACES")):
@@ -204,17 +205,6 @@ def _why_empty(image: bpy.types.Image) -> tuple[str, str]:
         return "is a multilayer OpenEXR, whose layers are not read", "Save the layer as an image of its own"
     what = "a movie that" if image.source == "MOVIE" else "an image that"
     return f"is {what} is missing or cannot be read", "Find the file or pack a working one"
-
-
-def srgb_to_linear(c: np.ndarray) -> np.ndarray:
-    """Decode sRGB (IEC 61966-2-1), float32."""
-    return np.where(c <= 0.04045, c / np.float32(12.92), ((np.maximum(c, 0.0) + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4))
-
-
-def linear_to_srgb(c: np.ndarray) -> np.ndarray:
-    """Encode as sRGB (IEC 61966-2-1), float32."""
-    power = np.maximum(c, 0.0) ** np.float32(1 / 2.4)
-    return np.where(c <= 0.0031308, c * np.float32(12.92), np.float32(1.055) * power - np.float32(0.055))
 
 
 def _rgba(raw: np.ndarray) -> np.ndarray:

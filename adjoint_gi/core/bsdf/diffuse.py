@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..sampling.maps import TWO_PI, polar
 from . import microfacet as mf
 from .lobe import Drawn, LobeKind, Seen
 
@@ -31,5 +32,4 @@ def lambert(color: np.ndarray, cosine: np.ndarray) -> np.ndarray:
 
 def cosine_directions(r: np.ndarray) -> np.ndarray:
     """(n, 3) directions about z with the density cosine / pi, from `r` (2 or more, n)."""
-    phi, s = 2 * mf.PI * r[0], np.sqrt(r[1])
-    return np.stack([s * np.cos(phi), s * np.sin(phi), np.sqrt(np.maximum(1 - r[1], 0))], axis=1)
+    return np.ascontiguousarray(polar(r[1], TWO_PI * r[0]).T)

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..scene.arrays import Color, Lobe, SceneArrays, constant_of
+from ..sampling.maps import frame_rows
+from ..scene.arrays import Color, Lobe, RayKind, SceneArrays, constant_of
 from ..scene.shading import ColorField, ScalarField
 from . import microfacet as mf
 from .coat import LARGEST, Coats
@@ -24,7 +25,7 @@ from .lobe import LobeKind, Seen
 from .lobes import DELTA_BELOW, KINDS, LOBES, PARTIAL, REFRACTING, present
 from .multiscatter import Gains
 
-__all__ = ["KINDS", "LOBES", "BsdfTable", "Lobes", "Scattered", "Slot", "evaluate", "frame", "sample", "weights", "white_lobe"]
+__all__ = ["KINDS", "LOBES", "BsdfTable", "Lobes", "Scattered", "Slot", "evaluate", "sample", "weights", "white_lobe"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +187,7 @@ class BsdfTable:
         """Lobes at barycentrics of triangles with shading normals `ns` on the side of `wo`; `side` is +1 outside, -1 inside."""
         material = self._material[triangle]
         slots = tuple(slot.at(material, triangle, u, v) for slot in self.slots)
-        x, y = frame(ns)
+        x, y = frame_rows(ns)
         local = np.stack([mf.dot(wo, x), mf.dot(wo, y), np.maximum(mf.dot(wo, ns), np.float32(1e-4))], axis=1)
         local /= np.sqrt(mf.dot(local, local))[:, None]
         diffuse = np.clip(self._diffuse.at(triangle, u, v), 0, 1)
@@ -269,16 +270,6 @@ def white_lobe(number: int, alpha: float, ior: float, wo: np.ndarray, front: boo
     return Lobes(wo, wo, *axes, np.zeros((n, 3), np.float32), (slot,), np.full(n, front), Mixture.of(0, n), table)
 
 
-def frame(n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors (n, 3) that make a right-handed frame with n (Duff et al. 2017)."""
-    s = np.where(n[:, 2] < 0, np.float32(-1), np.float32(1))
-    a = -1 / (s + n[:, 2])
-    b = n[:, 0] * n[:, 1] * a
-    x = np.stack([1 + s * n[:, 0] ** 2 * a, s * b, -s * n[:, 0]], axis=1)
-    y = np.stack([b, s + n[:, 1] ** 2 * a, -n[:, 1]], axis=1)
-    return x, y
-
-
 def _below_coat(lobes: Lobes, cosine: np.ndarray) -> np.ndarray | None:
     """(n,) what coats leave for lobes below, reciprocal in wo and wi (Ashikhmin et al. 2000); `cosine` (n,) of wi. None: no coats."""
     table = lobes.table
@@ -331,13 +322,20 @@ def gain_factor(kind: LobeKind, seen: Seen, wi: np.ndarray, gains: Gains) -> np.
 @dataclass(frozen=True, eq=False)
 class Scattered:
     """Directions drawn by `sample`: wi (n, 3) world, weight (n, 3) = f |cos| / pdf, pdf_w (n,), delta (n,) bool,
-    through (n,) bool: wi lies beyond the surface. weight 0 ends the walk."""
+    through (n,) bool: wi lies beyond the surface; diffuse (n,) bool: drawn from the diffuse lobe. weight 0 ends the walk."""
 
     wi: np.ndarray
     weight: np.ndarray
     pdf_w: np.ndarray
     delta: np.ndarray
     through: np.ndarray
+    diffuse: np.ndarray
+
+    @property
+    def kind(self) -> np.ndarray:
+        """(n,) uint8 `RayKind` of the rays."""
+        reflected = np.where(self.diffuse, RayKind.DIFFUSE, RayKind.GLOSSY)
+        return np.where(self.through, RayKind.TRANSMISSION, reflected)
 
 
 def sample(lobes: Lobes, rng: np.random.Generator, uniform: np.ndarray | None = None) -> Scattered:
@@ -367,4 +365,4 @@ def sample(lobes: Lobes, rng: np.random.Generator, uniform: np.ndarray | None = 
         value, q = evaluate(lobes.take(dense), world[dense], p[:, dense])
         weight[dense] = np.where((q > 0)[:, None], value / np.maximum(q, mf.TINY)[:, None], 0)
         pdf[dense] = q
-    return Scattered(world.astype(np.float32), weight, pdf, delta, wi[:, 2] < 0)
+    return Scattered(world.astype(np.float32), weight, pdf, delta, wi[:, 2] < 0, pick == 0)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..base.color import encode_srgb
 from .canvas import GLYPH_HEIGHT, GLYPH_WIDTH, Canvas
 
 # Distinct on white and for colour-blind eyes (Okabe and Ito 2008), then darker variants.
@@ -45,8 +46,7 @@ class Curve:
 
 def encode(linear: np.ndarray, exposure: float = 1.0) -> np.ndarray:
     """sRGB-encoded values in 0..1 of scene-linear ones times `exposure`."""
-    x = np.clip(np.asarray(linear, np.float32) * np.float32(exposure), 0, 1)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055).astype(np.float32)
+    return encode_srgb(np.clip(np.asarray(linear, np.float32) * np.float32(exposure), 0, 1))
 
 
 def exposure_for(linear: np.ndarray) -> float:

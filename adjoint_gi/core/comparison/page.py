@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..base.color import decode_srgb
 from ..flux.agreement import LOUD, Agreement
 from ..images.png import encode_png
 from .budget import STATES, Budget, Entry
@@ -210,8 +211,7 @@ def _figure(name: str, picture: np.ndarray) -> str:
 
 def decoded(picture: np.ndarray) -> np.ndarray:
     """Scene-linear values of sRGB-encoded ones, for writers that encode."""
-    x = np.asarray(picture, np.float32)
-    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
+    return decode_srgb(np.asarray(picture, np.float32))
 
 
 def as_json(result: Result, notices: Iterable[Any] = ()) -> dict[str, Any]:

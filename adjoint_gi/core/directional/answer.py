@@ -17,7 +17,7 @@ from ..radiosity.settings import RadiositySettings
 from ..receivers.base import Points, Receivers
 from ..scene.world import Surface
 from ..walks.gathering import sliced
-from ..walks.radiance import Walk, gather, take
+from ..walks.radiance import Walk, gather
 from .rays import DirectionalRays
 from .scattering import Scattering
 
@@ -121,11 +121,11 @@ class DirectionalAnswer:
         out, rays = np.zeros((len(shiny), 3), np.float32), 0
         plain, rest = np.flatnonzero(~shiny), np.flatnonzero(shiny)
         if len(plain):
-            light, rays = direct_irradiance(world, self.emitters, take(surface, plain), samples, rng)
+            light, rays = direct_irradiance(world, self.emitters, surface.take(plain), samples, rng)
             out[plain] = light * lobes.diffuse[plain] / np.float32(np.pi)
         if len(rest):
             walk = Walk(world, self.emitters, self.table, 1, 1)
-            at, seen = take(surface, rest), lobes.take(rest)
+            at, seen = surface.take(rest), lobes.take(rest)
             for _ in range(samples):
                 found = gather(walk, at, seen, rng)
                 out[rest] += found.direct / np.float32(samples)

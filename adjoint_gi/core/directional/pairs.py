@@ -10,16 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..bsdf import microfacet as mf
 from ..bsdf import table as bsdf
 from ..bsdf.curves import Mixture
 from ..bsdf.multiscatter import Gains
+from ..sampling.additive import STEPS, additive
+from ..sampling.maps import TWO_PI, polar
 
 PAIRS = 1 << 15
-
-# The additive sequence of M. Roberts in five dimensions: powers of 1 / phi, phi the root of x^6 = x + 1.
-_PHI = 1.1347241384015194
-ALPHA = np.array([_PHI**-k for k in range(1, 6)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +42,8 @@ class Pairs:
 
 def given_directions(count: int) -> tuple[np.ndarray, np.ndarray]:
     """`count` directions (n, 3) float32 by the cosine, and three more numbers in 0..1 for each, (3, n) float32."""
-    x = np.arange(count) * ALPHA[:, None] + 0.5
-    x = (x - np.floor(x)).astype(np.float32)
-    r, phi = np.sqrt(x[0]), 2 * mf.PI * x[1]
-    z = np.sqrt(np.maximum(1 - x[0], np.float32(1e-7)))
-    return np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=1), x[2:]
+    x = additive(np.arange(count), STEPS[5], 0.5).astype(np.float32)
+    return np.ascontiguousarray(polar(x[0], TWO_PI * x[1]).T), x[2:]
 
 
 def pairs(kind: int, alpha: float, ior: float, front: bool, table: bsdf.BsdfTable, count: int = PAIRS) -> Pairs:

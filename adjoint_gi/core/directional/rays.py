@@ -10,6 +10,8 @@ from ..base.parallel import in_order
 from ..elements.elements import Elements
 from ..elements.rays import ElementRays, shifted_points
 from ..lights.emitters import Emitters
+from ..sampling.maps import TWO_PI, polar
+from ..scene.arrays import RayKind
 from .bins import frames
 
 POINTS = 4  # points of an element that look at the lights, times `samples`
@@ -29,7 +31,7 @@ class DirectionalRays(ElementRays):
         fold = ~self.elements.is_quad[side >> 1] & (a + b > 1)
         a, b = np.where(fold, 1 - a, a), np.where(fold, 1 - b, b)
         origin = rows[:, 0:3] + a[:, None] * rows[:, 3:6] + b[:, None] * rows[:, 6:9]
-        return origin + np.float32(self.world.offset) * self.frames[side, 2]
+        return self.world.lifted(origin, self.frames[side, 2])
 
     def to_world(self, side: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Directions `w` (n, 3) of the sides' frames in the world."""
@@ -44,18 +46,17 @@ class DirectionalRays(ElementRays):
     def cosine(self, number: np.ndarray, stream: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Ray `number` of the fixed set of `stream`: place on the side (2, n) and direction by the cosine (n, 3), float32."""
         u = shifted_points(number, stream).astype(np.float32)
-        r, phi = np.sqrt(u[2]), np.float32(2 * np.pi) * u[3]
-        return u[:2], np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(np.maximum(1 - u[2], np.float32(1e-7)))], axis=1)
+        return u[:2], np.ascontiguousarray(polar(u[2], TWO_PI * u[3]).T)
 
     def trace(self, side: np.ndarray, a: np.ndarray, b: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Sides met (n,) int64, -1 where rays escape, and the directions (n, 3) in their frames from which the rays arrive there."""
         origin, direction = self.start(side, a, b), self.to_world(side, w)
-        triangle, u, v, _ = self.world.intersect(origin, direction)
+        triangle, u, v, _ = self.world.intersect(origin, direction, RayKind.DIFFUSE)
         # A ray can slip through exactly at an edge: misses get a second chance a hair beside.
         missed = np.flatnonzero(triangle < 0)
         if len(missed):
             nudged = direction[missed] + np.float32(1e-4) * self.frames[side[missed], 2]
-            triangle[missed], u[missed], v[missed], _ = self.world.intersect(origin[missed], nudged)
+            triangle[missed], u[missed], v[missed], _ = self.world.intersect(origin[missed], nudged, RayKind.DIFFUSE)
         hit = np.flatnonzero(triangle >= 0)
         met, arrives = np.full(len(side), -1, np.int64), np.zeros((len(side), 3), np.float32)
         behind = np.einsum("ij,ij->i", self._normals[triangle[hit]], direction[hit]) > 0
@@ -116,7 +117,7 @@ class ArrivingLight:
         cosine = np.einsum("cn,nc->n", s.wi, self.caster.frames[side, 2])
         lit = np.flatnonzero((cosine > 0) & (s.radiance.max(axis=0) > 0))
         wi = np.ascontiguousarray(s.wi[:, lit].T)
-        hidden = self.caster.world.occluded(np.ascontiguousarray(origin[lit]), wi, s.distance[lit]) & s.shadow[lit]
+        hidden = self.caster.world.occluded(np.ascontiguousarray(origin[lit]), wi, s.distance[lit], RayKind.SHADOW) & s.shadow[lit]
         lit, wi = lit[~hidden], wi[~hidden]
         value = s.radiance[:, lit].T * (cosine[lit] / s.pdf_w[lit])[:, None]
         return side[lit], self.caster.to_local(side[lit], wi), value

@@ -7,21 +7,20 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..base.parallel import in_order
+from ..sampling.additive import STEPS, additive
+from ..sampling.maps import TWO_PI, polar
+from ..scene.arrays import RayKind
 from .elements import Elements
 
 BATCH = 1 << 15  # rays in one piece of work
 
-# The additive sequence of M. Roberts in four dimensions: powers of 1 / phi, phi the root of x^5 = x + 1.
-_PHI = 1.1673039782614187
-ALPHA = np.array([_PHI**-1, _PHI**-2, _PHI**-3, _PHI**-4])
 # Every side and every shot shifts the set by its own vector, itself from an additive sequence.
 BETA = np.sqrt([2.0, 3.0, 5.0, 7.0])
 
 
 def shifted_points(number: np.ndarray, stream: np.ndarray) -> np.ndarray:
     """(4, n) float64 in 0..1: point `number` (n,) of the set, shifted for `stream` (n,) int64. The same every time."""
-    x = number * ALPHA[:, None] + (stream % (1 << 24)) * BETA[:, None] + 0.5
-    return x - np.floor(x)
+    return additive(number, STEPS[4], (stream % (1 << 24)) * BETA[:, None], 0.5)
 
 
 class ElementRays:
@@ -51,23 +50,22 @@ class ElementRays:
         fold = ~self.elements.is_quad[element] & (a + b > 1)
         a, b = np.where(fold, 1 - a, a), np.where(fold, 1 - b, b)
         normal = rows[:, 15:18] * sign[:, None]
-        origin = rows[:, 0:3] + a[:, None] * rows[:, 3:6] + b[:, None] * rows[:, 6:9] + np.float32(self.world.offset) * normal
-        radius, angle = np.sqrt(u[2]), np.float32(2 * np.pi) * u[3]
-        up = np.sqrt(np.maximum(1 - u[2], np.float32(1e-7)))
-        direction = (radius * np.cos(angle))[:, None] * rows[:, 9:12] + (radius * np.sin(angle))[:, None] * rows[:, 12:15]
-        direction += up[:, None] * normal
+        origin = self.world.lifted(rows[:, 0:3] + a[:, None] * rows[:, 3:6] + b[:, None] * rows[:, 6:9], normal)
+        x, y, z = polar(u[2], TWO_PI * u[3])[:, :, None]
+        direction = x * rows[:, 9:12] + y * rows[:, 12:15]
+        direction += z * normal
         return origin, direction, normal
 
     def cast(self, side: np.ndarray, number: np.ndarray, stream: np.ndarray) -> np.ndarray:
         """(n,) int64 sides met by rays from `side` (n,), -1 where they escape. `number` and `stream` pick the ray."""
         origin, direction, normal = self.start(side, number, stream)
-        triangle, tu, tv, _ = self.world.intersect(origin, direction)
+        triangle, tu, tv, _ = self.world.intersect(origin, direction, RayKind.DIFFUSE)
 
         # A ray can slip through exactly at an edge: misses get a second chance a hair beside.
         missed = np.flatnonzero(triangle < 0)
         if len(missed):
             nudged = direction[missed] + np.float32(1e-4) * normal[missed]
-            triangle[missed], tu[missed], tv[missed], _ = self.world.intersect(origin[missed], nudged)
+            triangle[missed], tu[missed], tv[missed], _ = self.world.intersect(origin[missed], nudged, RayKind.DIFFUSE)
         hit = np.flatnonzero(triangle >= 0)
         out = np.full(len(side), -1, np.int64)
         met = triangle[hit]

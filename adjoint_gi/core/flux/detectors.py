@@ -26,6 +26,8 @@ from ..elements.elements import Elements
 from ..lights.emission import Emission, Particles
 from ..method.solution import Solution
 from ..receivers.base import CameraReceivers, Receivers
+from ..sampling.additive import STEPS, additive
+from ..scene.arrays import RayKind
 from ..scene.world import World
 from ..walks.particles import Hits, walk
 
@@ -127,9 +129,9 @@ class CameraDetector(Detector):
         total = np.zeros(2 * elements.count)
         for first in range(0, rows * columns, BATCH):
             k = np.arange(first, min(first + BATCH, rows * columns))
-            lens = np.stack([k * 0.7548776662466927, k * 0.5698402909980532]) % 1.0
+            lens = additive(k, STEPS[2])
             o, d = self.rays((k % columns + 0.5) / columns, (k // columns + 0.5) / rows, lens.astype(np.float32))
-            triangle, u, v, t = self.world.intersect(o, d)
+            triangle, u, v, t = self.world.intersect(o, d, RayKind.CAMERA)
             hit = np.flatnonzero((triangle >= 0) & (t <= self.reach(d)))
             facing = np.where(np.einsum("ij,ij->i", self.world.rows[triangle[hit], 9:12], d[hit]) > 0, -1, 1)
             side = elements.side(triangle[hit], u[hit], v[hit], facing)
@@ -141,11 +143,11 @@ class CameraDetector(Detector):
 
         The importance that arrives on a surface, per area, is the potential there of what it emits.
         """
-        s = (np.arange(1, n + 1) * 0.6180339887498949 + rng.random()) % 1.0
+        s = additive(np.arange(1, n + 1), STEPS[1], rng.random())[0]
         t = (np.arange(n) + rng.random(n)) / n
         o, d = self.rays(s, t, rng.random((2, n), np.float32))
         weight = np.repeat((self.share(d) / (np.pi * n)).astype(np.float32)[:, None], 3, axis=1)
-        return Particles(o, d, weight, np.zeros(n, np.int32), np.zeros(n, np.float32), reach=self.reach(d))
+        return Particles(o, d, weight, np.zeros(n, np.int32), np.zeros(n, np.float32), self.reach(d), RayKind.CAMERA)
 
 
 def objects_named(world: World, names: Sequence[str]) -> np.ndarray:

@@ -23,7 +23,8 @@ from ..base.parallel import in_order
 from ..bsdf.table import BsdfTable
 from ..elements.elements import Elements
 from ..lights.emission import Particles
-from ..lights.outgoing import cosine_directions
+from ..sampling.maps import cosine_directions
+from ..scene.arrays import RayKind
 from ..scene.world import Surface, World
 from ..walks.particles import Hits, walk
 from ..walks.radiance import Gathered
@@ -50,7 +51,8 @@ class ReceiverWalks:
         """(n, 3) potential after one reflection and after more; g(x) itself is no part of it."""
         n = len(surface.triangle)
         direction = cosine_directions(surface.ng, rng.random(n, np.float32), rng.random(n, np.float32))
-        start = Particles(self.world.leave(surface), direction, np.ones((n, 3), np.float32), np.zeros(n, np.int32), np.zeros(n, np.float32))
+        one, light, dark = np.ones((n, 3), np.float32), np.zeros(n, np.int32), np.zeros(n, np.float32)
+        start = Particles(self.world.leave(surface), direction, one, light, dark, kind=RayKind.DIFFUSE)
         found = np.zeros((2, n, 3), np.float32)
 
         def visit(hits: Hits) -> None:

@@ -9,21 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from ..base.atomic import SOFTWARE, replace_file, require_finite
+from ..base.color import encode_srgb
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
-
-
-def srgb(linear: np.ndarray) -> np.ndarray:
-    """Scene-linear values to sRGB 0..1 (IEC 61966-2-1), clipped."""
-    x = np.clip(linear, 0, 1)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.power(np.maximum(x, 0.0031308), 1 / 2.4) - 0.055)
 
 
 def encode_png(linear: np.ndarray) -> bytes:
     """The bytes of a PNG of scene-linear values (h, w, 3 or 4), row 0 at the bottom; alpha is kept linear."""
     linear = np.asarray(linear, np.float32)
     height, width, channels = linear.shape
-    values = np.concatenate([srgb(linear[..., :3]), np.clip(linear[..., 3:], 0, 1)], axis=2)
+    values = np.concatenate([encode_srgb(np.clip(linear[..., :3], 0, 1)), np.clip(linear[..., 3:], 0, 1)], axis=2)
     rows = np.zeros((height, 1 + width * channels), np.uint8)  # every row starts with filter type 0
     rows[:, 1:] = np.rint(values[::-1] * 255).astype(np.uint8).reshape(height, -1)
     kind = {3: 2, 4: 6}[channels]

@@ -15,7 +15,7 @@ from ..sampling.maps import ONE, PI, dot
 from ..scene.arrays import Light
 from ..scene.world import World
 from .base import LampKind, Rays, Sample, Seen, unit
-from .outgoing import disk, lambert_cone, reject
+from .outgoing import lambert_cone, reject
 
 FULL = np.pi - 2e-4  # a spread from which on a lamp is sampled as one that shines in all directions
 
@@ -125,7 +125,7 @@ class AreaLights(LampKind):
         """A uniform point; the direction by cosine and spread."""
         light, frame = self.lights[i], self._frame(i)
         if light.shape == "ELLIPSE":
-            x, y = (0.5 * a for a in disk(square[:, 0], square[:, 1]))
+            x, y = (0.5 * a for a in sampling.disk(square[:, 0], square[:, 1]))
         else:
             x, y = square[:, 0] - 0.5, square[:, 1] - 0.5
         offset = np.stack([x * light.size_x, y * light.size_y], axis=1)

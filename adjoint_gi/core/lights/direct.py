@@ -12,6 +12,7 @@ import numpy as np
 
 from ..sampling import maps as sampling
 from ..sampling.maps import PI, columns, dot
+from ..scene.arrays import RayKind
 from ..scene.faces import Faces
 from ..scene.world import Surface, World
 from .emitters import Emitters
@@ -47,7 +48,7 @@ def from_lights(
     if not len(rows):
         return rows, np.zeros((3, 0), np.float32), 0
     wi, distance = s.wi.take(rows, axis=1), s.distance.take(rows)
-    hidden = world.occluded(origin.take(rows, axis=1).T, wi.T, distance)
+    hidden = world.occluded(origin.take(rows, axis=1).T, wi.T, distance, RayKind.SHADOW)
     if emitters.lamps.count:
         hidden &= s.shadow.take(rows)
     free = np.flatnonzero(~hidden)
@@ -110,7 +111,7 @@ def direct_irradiance(
     faces = Faces(world) if met else None
     for a in range(0, n, BATCH):
         part = slice(a, min(a + BATCH, n))
-        origin = columns(surface.position[part] + np.float32(world.offset) * surface.ng[part])
+        origin = columns(world.lifted(surface.position[part], surface.ng[part]))
         ng = columns(surface.ng[part])
         ns = ng if surface.ns is surface.ng else columns(surface.ns[part])
         total = np.zeros((3, origin.shape[1]))
@@ -122,7 +123,7 @@ def direct_irradiance(
             if met:
                 u = rng.random((2, len(total[0])), np.float32)
                 w, cosine = sampling.cosine_hemisphere(ns, u[0], u[1])
-                hit = world.intersect(origin.T, w.T)
+                hit = world.intersect(origin.T, w.T, RayKind.DIFFUSE)
                 rays += len(cosine)
                 above = np.where(dot(w, ng) > 0, PI, np.float32(0)) if ns is not ng else np.full(len(cosine), PI)
                 for rows, value in from_hits(emitters, faces, origin, w, hit, cosine, mesh):

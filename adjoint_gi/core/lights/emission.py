@@ -10,14 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..sampling.additive import STEPS, additive
+from ..scene.arrays import RayKind
 from ..scene.world import World
 from .background import Background
 from .lamps import Lamps
 from .mesh import MeshLights
-
-# Steps of the four-dimensional additive recurrence: powers of 1 / x with x^5 = x + 1 (M. Roberts, "The unreasonable
-# effectiveness of quasirandom sequences", 2018).
-STEPS = 1.1673039782614187 ** -np.arange(1, 5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +24,7 @@ class Particles:
 
     origin, direction (n, 3) float32, recentred and unit; weight (n, 3) float32 power of each colour, W;
     light (n,) int32 index into `Emission.names`; dark (n,) float32: how far each lights nothing (`PointLights`), metres;
-    reach (n,) float32 or None: how far the first flight may go (a camera's far clipping plane), metres.
+    reach (n,) float32 or None: how far the first flight may go (a camera's far clipping plane), metres. kind: `RayKind` of that flight.
     """
 
     origin: np.ndarray
@@ -35,6 +33,7 @@ class Particles:
     light: np.ndarray
     dark: np.ndarray
     reach: np.ndarray | None = None
+    kind: np.uint8 = RayKind.SHADOW
 
 
 class Emission:
@@ -84,8 +83,7 @@ class Emission:
         point = (np.arange(n) + rng.random(n)) / n
         cell = np.minimum(np.searchsorted(self._cumulative, point, side="right"), self._last_lit)
         # Step 2: four coordinates in the unit cube.
-        square = np.arange(1, n + 1) * STEPS[:, None] + rng.random((4, 1))
-        square = (square - np.floor(square)).T
+        square = additive(np.arange(1, n + 1), STEPS[4], rng.random((4, 1))).T
         # Step 3: every source turns its stretch into rays and says the power its cell would have if it shone everywhere like here.
         origin, direction, weight = (np.empty((n, 3), np.float32) for _ in range(3))
         light, dark = np.empty(n, np.int32), np.zeros(n, np.float32)

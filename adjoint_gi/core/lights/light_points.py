@@ -12,6 +12,8 @@ import numpy as np
 from ..bsdf import table as bsdf
 from ..bsdf.lobes import HIGHLIGHT
 from ..bsdf.microfacet import dot
+from ..sampling.additive import STEPS, additive
+from ..scene.arrays import RayKind
 from ..scene.world import Surface, World
 from .emitters import Emitters
 
@@ -22,8 +24,7 @@ class LightPoints:
     def __init__(self, emitters: Emitters, count: int) -> None:
         self.emitters = emitters
         k = np.arange(count)
-        # Two more dimensions of the golden-ratio lattice (Roberts 2018).
-        u, v = (0.5 + k * 0.7548776662466927) % 1.0, (0.5 + k * 0.5698402909980532) % 1.0
+        u, v = additive(k, STEPS[2], 0.5)
         triangles = len(emitters.triangles)
         self._draws: list[tuple[int, float, float, float]] = []
         if triangles:
@@ -55,7 +56,7 @@ class LightPoints:
             lit = np.flatnonzero((weight > 0) & (radiance.max(axis=1) > 0))
             cast = 0
             if shadows and len(lit):
-                hidden = world.occluded(np.ascontiguousarray(origin[lit]), wi[lit], s.distance[lit]) & s.shadow[lit]
+                hidden = world.occluded(np.ascontiguousarray(origin[lit]), wi[lit], s.distance[lit], RayKind.SHADOW) & s.shadow[lit]
                 weight[lit[hidden]] = 0
                 cast = len(lit)
             yield wi, cosine, radiance, weight.astype(np.float32), cast

@@ -10,11 +10,11 @@ from functools import cached_property
 import numpy as np
 
 from ..sampling import maps as sampling
-from ..sampling.maps import columns, dot
+from ..sampling.additive import STEPS, additive
+from ..sampling.maps import columns, cosine_directions, dot
 from ..scene.faces import points
 from ..scene.world import World
 from .base import LightKind, Rays, Sample
-from .outgoing import cosine_directions
 
 TEXTURED_POINTS = 64  # points at which a textured triangle's mean emission is measured
 # Textured triangles are divided into about this many cells altogether, so that bright texels get their share of particles.
@@ -198,7 +198,7 @@ class Cells:
         normal = surface.ng * side[:, None]
         # Step 3: cosine distributed about the normal.
         direction = cosine_directions(normal, 2 * square[:, 2] - ~front, square[:, 3])
-        origin = surface.position + np.float32(self.world.offset) * normal
+        origin = self.world.lifted(surface.position, normal)
         return Rays(origin, direction, self._emission_at(self.triangle[cell], u, v) * self.full[cell, None])
 
 
@@ -213,7 +213,7 @@ def _mean_emission(world: World) -> np.ndarray:
         points = TEXTURED_POINTS
     # A fixed lattice on the triangle; a lattice of one point is the middle.
     k = np.arange(points)
-    u, v = (k + 0.5) / points, (0.5 + k * 0.6180339887498949) % 1.0
+    u, v = (k + 0.5) / points, additive(k, STEPS[1], 0.5)[0]
     for a, b in zip(*sampling.triangle(u.astype(np.float32), v.astype(np.float32)), strict=True):
         n = len(triangles)
         out[triangles] += world.shading.emission(triangles, np.full(n, a, np.float32), np.full(n, b, np.float32))

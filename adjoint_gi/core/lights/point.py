@@ -15,7 +15,7 @@ from ..sampling.maps import ONE, PI, TWO_PI, dot
 from ..scene.arrays import Light
 from ..scene.world import World
 from .base import LampKind, Rays, Sample, Seen, unit
-from .outgoing import across, disk, sphere_directions
+from .outgoing import across, sphere_directions
 
 
 class PointLights(LampKind):
@@ -83,7 +83,7 @@ class PointLights(LampKind):
         radius, center = self.lights[i].radius, self.center[i]
         if radius <= 0:
             return self._rays(i, np.broadcast_to(center, direction.shape), direction)
-        x, y = disk(square[:, 2], square[:, 3])
+        x, y = sampling.disk(square[:, 2], square[:, 3])
         offset = radius * across(direction, x, y)
         b2 = x * x + y * y
         height = np.sqrt(np.maximum(0, 1 - b2))

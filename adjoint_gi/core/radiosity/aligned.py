@@ -9,6 +9,8 @@ import numpy as np
 
 from ..base.parallel import in_order
 from ..elements.elements import Elements
+from ..sampling.additive import STEPS, additive
+from ..scene.arrays import RayKind
 from .form_factors import parallel_exchange, perpendicular_exchange
 
 ALIGNED = 1e-6  # sine of the largest angle between axes that count as common
@@ -123,7 +125,7 @@ def exact_pairs(elements: Elements, sides: np.ndarray) -> Iterator[ExactPairs]:
     tests = int(np.clip(TEST_RAYS // possible, 4, _POINTS))
     k = np.arange(tests)
     # Two even sets of points in the square, the second in another order, so that the rays cross.
-    a, b = (k + 0.5) / tests, (k * 0.6180339887498949 + 0.35) % 1.0
+    a, b = (k + 0.5) / tests, additive(k, STEPS[1], 0.35)[0]
 
     def points(p: np.ndarray, q: np.ndarray) -> np.ndarray:
         at = [aligned.elements.position(sides >> 1, np.full(n, x), np.full(n, y)) for x, y in zip(p, q, strict=True)]
@@ -131,8 +133,7 @@ def exact_pairs(elements: Elements, sides: np.ndarray) -> Iterator[ExactPairs]:
 
     near, far = points(a, b), points(b[::-1], a)
     world = elements.world
-    lift = world.offset * aligned.normal[:, None]
-    start, end = (near + lift).astype(np.float32), (far + lift).astype(np.float32)
+    start, end = (world.lifted(place, aligned.normal[:, None]).astype(np.float32) for place in (near, far))
     normal = aligned.normal.astype(np.float32)
 
     def work(rows: np.ndarray) -> ExactPairs:
@@ -148,7 +149,7 @@ def exact_pairs(elements: Elements, sides: np.ndarray) -> Iterator[ExactPairs]:
             direction = end[j, test] - origin
             # A point behind the other's plane is in the part that does not count.
             front = (np.einsum("ij,ij->i", direction, normal[i]) > 0) & (np.einsum("ij,ij->i", direction, normal[j]) < 0)
-            hidden = world.occluded(origin, direction, np.ones(len(i), np.float32)) & front
+            hidden = world.occluded(origin, direction, np.ones(len(i), np.float32), RayKind.DIFFUSE) & front
             rays += len(i)
             seen |= front
             if hidden.any():

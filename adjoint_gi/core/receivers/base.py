@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..sampling.maps import disk
+from ..scene.arrays import RayKind
 from ..scene.world import World
 
 CHUNK = 1 << 15
@@ -135,7 +136,7 @@ class CameraReceivers(Receivers):
     def _points(self, receiver: np.ndarray, dx: np.ndarray, dy: np.ndarray, lens: np.ndarray | None = None) -> Points:
         sharp = lens is None or self.camera.aperture_radius <= 0
         origin, direction = self.rays(receiver, dx, dy) if sharp else self.lens_rays(receiver, dx, dy, lens)
-        triangle, u, v, t = self.world.intersect(origin, direction)
+        triangle, u, v, t = self.world.intersect(origin, direction, RayKind.CAMERA)
         beyond = t * np.abs(direction @ np.asarray(self.camera.forward, np.float32)) > self.camera.clip_end - self.camera.clip_start
         triangle = np.where(beyond, np.int32(-1), triangle)
         return Points(receiver, triangle, u, v, -direction, origin, t, len(receiver))

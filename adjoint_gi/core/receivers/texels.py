@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.errors import MemoryRefused, Notice, TargetError
+from ..sampling.additive import STEPS, additive
 from ..scene.topology import uv_charts, weld
 from ..scene.world import World
 from .base import SurfaceReceivers
@@ -84,10 +85,8 @@ def memory(width: int, height: int, subsamples: int) -> int:
 
 
 def sample_offsets(subsamples: int) -> np.ndarray:
-    """(n, 2) float64 places inside a texel: the centre, then the additive recurrence of the plastic number, which fills it evenly."""
-    g = 1.32471795724474602596
-    k = np.arange(subsamples)[:, None]
-    return (0.5 + k * np.array([1 / g, 1 / g**2])) % 1.0
+    """(n, 2) float64 places inside a texel: the centre, then an additive sequence, which fills it evenly."""
+    return np.ascontiguousarray(additive(np.arange(subsamples), STEPS[2], 0.5).T)
 
 
 def rasterize(

@@ -27,9 +27,10 @@ def columns(vectors: np.ndarray) -> np.ndarray:
 def sphere(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """(3, n) unit directions, uniform over the sphere: pdf_w = 1 / (4 pi)."""
     out = np.empty((3, len(u)), np.float32)
-    z = ONE - 2 * u
+    # The numbers may be float64; all from here on is float32.
+    z = (1 - 2 * u).astype(np.float32)
     r = np.sqrt(np.maximum(ONE - z * z, 0))
-    phi = TWO_PI * v
+    phi = (2 * np.pi * v).astype(np.float32)
     np.multiply(r, np.cos(phi), out=out[0])
     np.multiply(r, np.sin(phi), out=out[1])
     out[2] = z
@@ -43,21 +44,46 @@ def cosine_hemisphere(normal: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple
     """
     w = sphere(u, v)
     w += normal
-    length = np.sqrt(dot(w, w))
-    w /= np.maximum(length, np.float32(1e-12))
+    square = dot(w, w)
+    # The pole opposite the normal gives no direction. It and what rounding cannot tell from it make 1 in 10^8: the normal is taken.
+    bad = square < np.float32(1e-8)
+    if bad.any():
+        w[:, bad], square[bad] = 2 * normal[:, bad], 4
+    length = np.sqrt(square)
+    w /= length
     # w . n = (1 + s . n) / length = length / 2, as length^2 = 2 + 2 s . n.
     return w, np.minimum(np.float32(0.5) * length, ONE)
+
+
+def cosine_directions(normal: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """`cosine_hemisphere` for rows: (n, 3) float32 unit directions about `normal` (n, 3)."""
+    return np.ascontiguousarray(cosine_hemisphere(normal.T, u, v)[0].T)
+
+
+def polar(sine2: np.ndarray, phi: np.ndarray) -> np.ndarray:
+    """(3, ...) unit vectors about the z axis, at angles whose sine squared is `sine2` (...,) from it and `phi` (...,) around it.
+
+    They stay a hair above the horizon. With `sine2` uniform in 0..1 they have pdf_w = cosine / pi (Malley's method).
+    """
+    r = np.sqrt(sine2)
+    return np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(np.maximum(1 - sine2, np.float32(1e-7)))])
 
 
 def frame(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two unit vectors (3, n) that make a right-handed frame with `normal` (3, n) (Duff et al. 2017)."""
     nx, ny, nz = normal
-    s = np.copysign(ONE, nz)
+    s = np.where(nz < 0, -ONE, ONE)
     a = -1 / (s + nz)
     b = nx * ny * a
     x = np.stack([ONE + s * nx * nx * a, s * b, -s * nx])
     y = np.stack([b, s + ny * ny * a, -ny])
     return x, y
+
+
+def frame_rows(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`frame` for rows: two unit vectors (n, 3) at right angles to `normal` (n, 3)."""
+    x, y = frame(normal.T)
+    return np.ascontiguousarray(x.T), np.ascontiguousarray(y.T)
 
 
 def cone(axis: np.ndarray, one_minus_cos: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -76,7 +102,7 @@ def cone(axis: np.ndarray, one_minus_cos: np.ndarray, u: np.ndarray, v: np.ndarr
 def disk(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points (x, y), each (n,), uniform in the unit disk: pdf_a = 1 / pi."""
     r = np.sqrt(u)
-    phi = TWO_PI * v
+    phi = 2 * np.pi * v
     return r * np.cos(phi), r * np.sin(phi)
 
 

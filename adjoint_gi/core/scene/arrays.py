@@ -11,6 +11,13 @@ from ..base.errors import Notice
 Rgb = tuple[float, float, float]
 
 
+class RayKind:
+    """What a ray is cast for, one bit each: from the camera, scattered by a diffuse or by any other lobe, through a surface, to a light."""
+
+    CAMERA, DIFFUSE, GLOSSY, TRANSMISSION, SHADOW = (np.uint8(1 << bit) for bit in range(5))
+    ALL = np.uint8(31)
+
+
 @dataclass(frozen=True, eq=False)
 class Texture:
     """An image: `pixels` (h, w, 4) float32 scene-linear, row 0 at the bottom."""
@@ -247,6 +254,7 @@ class SceneArrays:
     polygon         (nt,) int32 polygon of the object's evaluated mesh
     corners         (nt, 3) int32 corner (loop) of the object's evaluated mesh
     background      radiance of the world
+    visibility      (number of objects,) uint8, the bits of `RayKind` that meet each object; None: all meet all
     """
 
     vertices: np.ndarray
@@ -264,3 +272,4 @@ class SceneArrays:
     background: Rgb = (0.0, 0.0, 0.0)
     camera: Camera | None = None
     warnings: tuple[Notice, ...] = ()
+    visibility: np.ndarray | None = None

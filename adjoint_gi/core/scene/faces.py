@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..sampling.maps import columns, dot
+from .normals import shading_normals
 from .world import World
 
 
@@ -24,11 +25,7 @@ class Faces:
         self.albedo = None if shading.albedo_varies else columns(shading.albedo(every, zero, zero))
         self.emission = None if shading.emission_varies else columns(shading.emission(every, zero, zero))
         self.emits = np.append(shading.emissive(), False)
-        # Flat triangles hold their own normal at the corners, so that one formula serves all.
-        self.corner_normals = None
-        if world.any_smooth:
-            normals = np.where(world.smooth[:, None, None], world.corner_normals, world.rows[:, None, 9:12])
-            self.corner_normals = columns(normals.reshape(-1, 9))
+        self.corner_normals = columns(world.corner_normals.reshape(-1, 9)) if world.any_smooth else None
 
     def normals(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, w: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Geometric and shading normals (3, n) on the side that a ray arriving along `w` (3, n) sees, or on the front side."""
@@ -39,17 +36,8 @@ class Faces:
             ng *= side
         if self.corner_normals is None:
             return ng, ng
-        c = self.corner_normals.take(triangle, axis=1)
-        ns = c[0:3] * (np.float32(1) - u - v)
-        ns += c[3:6] * u
-        ns += c[6:9] * v
-        if side is not None:
-            ns *= side
-        length = np.sqrt(dot(ns, ns))
-        # Custom normals that cancel out or point into the surface are no use for shading: the face's own is taken.
-        good = (length > np.float32(1e-6)) & (dot(ns, ng) > 0)
-        ns /= np.maximum(length, np.float32(1e-6))
-        return ng, np.where(good, ns, ng)
+        ns = shading_normals(self.corner_normals.take(triangle, axis=1), u, v, ng, side)
+        return ng, np.where(self.world.smooth.take(triangle), ns, ng)
 
     def positions(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(3, n) float32 points at barycentrics (u, v)."""

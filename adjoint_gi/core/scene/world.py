@@ -8,7 +8,8 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from .arrays import SceneArrays
+from .arrays import RayKind, SceneArrays
+from .normals import shading_normals
 from .shading import Shading
 
 # Rays leave a surface this far off it, relative to the largest coordinate after recentring: about ten float32 steps.
@@ -31,6 +32,10 @@ class Surface:
     ng: np.ndarray
     ns: np.ndarray
     side: np.ndarray
+
+    def take(self, which: np.ndarray) -> Surface:
+        """Some of the points."""
+        return Surface(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
 
 class World:
@@ -72,25 +77,59 @@ class World:
             # The first query commits (builds) the scene, which must not happen in two threads at once.
             self._embree.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
         self.shading = Shading(scene)
+        self._meets = self._visibility()
 
     @property
     def triangle_count(self) -> int:
         """Number of triangles."""
         return len(self.rows)
 
-    def intersect(self, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Nearest hits of rays (n, 3) float32: triangle (n,) int32 (-1 where none), barycentric u, v and distance t, (n,) float32."""
+    def _visibility(self) -> np.ndarray | None:
+        """(nt + 1,) uint8 kinds of rays that meet each triangle, the last entry for rays that hit nothing; None where all meet all."""
+        bits = self.scene.visibility
+        if bits is None or (np.asarray(bits) & RayKind.ALL == RayKind.ALL).all():
+            return None
+        return np.append(np.asarray(bits, np.uint8)[self.scene.object], RayKind.ALL)
+
+    def intersect(
+        self, origin: np.ndarray, direction: np.ndarray, kind: np.uint8 | np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Nearest hits of rays (n, 3) float32 of `kind`, one of `RayKind` or (n,) of them, among what is visible to them.
+
+        Returns triangle (n,) int32 (-1 where none), barycentric u, v and distance t in lengths of the direction, (n,) float32.
+        """
+        hit = self._nearest(origin, direction)
+        return hit if self._meets is None else self._past_invisible(origin, direction, kind, hit)
+
+    def occluded(self, origin: np.ndarray, direction: np.ndarray, distance: np.ndarray, kind: np.uint8 | np.ndarray) -> np.ndarray:
+        """(n,) bool: whether anything visible to rays of `kind` lies on the ray closer than `distance` (n,) float32, in lengths of the
+        direction."""
+        if self._embree is None or len(origin) == 0:
+            return np.zeros(len(origin), bool)
+        if self._meets is not None:
+            return self.intersect(origin, direction, kind)[3] < distance
+        return self._embree.run(origin, direction, dists=distance, query="OCCLUDED") == 0
+
+    def _past_invisible(self, origin: np.ndarray, direction: np.ndarray, kind: np.uint8 | np.ndarray, hit: tuple) -> tuple:
+        """`hit` with rays that hit what their kind does not meet followed on from its other side: the one place of ray visibility."""
+        triangle, u, v, t = (np.array(a) for a in hit)
+        kind = np.broadcast_to(kind, len(triangle))
+        rows = np.flatnonzero(self._meets[triangle] & kind == 0)
+        while len(rows):
+            d = direction[rows]
+            start = self.leave(self.surface(triangle[rows], u[rows], v[rows], -d), np.ones(len(rows), bool))
+            triangle[rows], u[rows], v[rows], t[rows] = self._nearest(start, d)
+            t[rows] += np.einsum("ij,ij->i", start - origin[rows], d) / np.einsum("ij,ij->i", d, d)
+            rows = rows[self._meets[triangle[rows]] & kind[rows] == 0]
+        return triangle, u, v, t
+
+    def _nearest(self, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """As `intersect`, among all triangles."""
         n = len(origin)
         if self._embree is None or n == 0:
             return np.full(n, -1, np.int32), np.zeros(n, np.float32), np.zeros(n, np.float32), np.full(n, np.inf, np.float32)
         hit = self._embree.run(origin, direction, output=1)
         return hit["primID"], hit["u"], hit["v"], hit["tfar"]
-
-    def occluded(self, origin: np.ndarray, direction: np.ndarray, distance: np.ndarray) -> np.ndarray:
-        """(n,) bool: whether anything lies on the ray closer than `distance` (n,) float32, in units of the direction's length."""
-        if self._embree is None or len(origin) == 0:
-            return np.zeros(len(origin), bool)
-        return self._embree.run(origin, direction, dists=distance, query="OCCLUDED") == 0
 
     def surface(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, towards: np.ndarray | None = None) -> Surface:
         """The surface at barycentrics (u, v) of `triangle`, on the front side, or on the side that faces `towards` (n, 3).
@@ -114,19 +153,18 @@ class World:
         which = np.flatnonzero(self.smooth[triangle])
         if not len(which):
             return ng
-        n = self.corner_normals[triangle[which]]
-        a, b = u[which, None], v[which, None]
-        smooth = (n[:, 0] * (1 - a - b) + n[:, 1] * a + n[:, 2] * b) * side[which, None]
-        length = np.sqrt(np.einsum("ij,ij->i", smooth, smooth))
-        # Custom normals that cancel out or point into the surface are no use for shading: the face's own is taken.
-        good = (length > 1e-6) & (np.einsum("ij,ij->i", smooth, ng[which]) > 0)
+        corners = self.corner_normals[triangle[which]].reshape(-1, 9).T
         ns = ng.copy()
-        ns[which[good]] = smooth[good] / length[good, None]
+        ns[which] = shading_normals(corners, u[which], v[which], ng[which].T, side[which]).T
         return ns
 
-    def leave(self, surface: Surface) -> np.ndarray:
-        """(n, 3) float32 origins for rays that leave `surface` on the side of its `ng`."""
-        return surface.position + np.float32(self.offset) * surface.ng
+    def leave(self, surface: Surface, through: np.ndarray | None = None) -> np.ndarray:
+        """(n, 3) float32 origins of rays that leave `surface` on the side of its `ng`, or on the other where `through` (n,) bool."""
+        return self.lifted(surface.position, surface.ng if through is None else np.where(through[:, None], -surface.ng, surface.ng))
+
+    def lifted(self, position: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """`position` moved off its surface to the side of `normal`, rows or component first: the one place where rays are offset."""
+        return position + normal * np.float32(self.offset)
 
     def albedo(self, surface: Surface) -> np.ndarray:
         """(n, 3) float32 diffuse reflectance, between 0 and 1."""

@@ -12,8 +12,9 @@ import numpy as np
 from ..base.parallel import in_order
 from ..base.settings import NO_LIMIT
 from ..elements.elements import Elements
-from ..lights.emission import STEPS
 from ..lights.emitters import Emitters
+from ..sampling.additive import STEPS, additive
+from ..scene.arrays import RayKind
 from ..walks.mirror_chains import Chains
 from .known_light import KnownLight
 
@@ -87,12 +88,12 @@ class Caustics:
         index, first, last = item
         source = self._sources[index]
         rng = np.random.default_rng([19, index, first])
-        square = np.arange(first + 1, last + 1)[:, None] * STEPS + 0.5
-        start = source.shoot(square - np.floor(square), rng, np.zeros(last - first, np.int64))
+        square = additive(np.arange(first + 1, last + 1), STEPS[4], 0.5).T
+        start = source.shoot(square, rng, np.zeros(last - first, np.int64))
         flux = start.flux / np.float32(self._counts[index])
         found, rays = [], 0
         origin, direction = (np.ascontiguousarray(x, np.float32) for x in (start.origin, start.direction))
-        for met in self.chains.follow(origin, direction, rng, start.dark):
+        for met in self.chains.follow(origin, direction, RayKind.SHADOW, rng, start.dark):
             rays += len(met.row) + len(met.away)
             if met.segments < 2 or not len(met.row):
                 continue

@@ -17,6 +17,7 @@ import numpy as np
 from ..base.parallel import in_order
 from ..elements.rays import BATCH, ElementRays
 from ..radiosity.transports import FreshRayTransport, Transport
+from ..scene.arrays import RayKind
 from ..walks.mirror_chains import Chains
 
 
@@ -50,7 +51,7 @@ class ExtendedTransport(Transport):
             number = np.tile(np.arange(self.per_side), len(owner) // self.per_side)
             origin, direction, _ = self.rays.start(owner, number, owner)
             out, cast = [[] for _ in range(self.chains.depth + 2)], 0
-            for met in self.chains.follow(origin, direction, np.random.default_rng([17, first])):
+            for met in self.chains.follow(origin, direction, RayKind.DIFFUSE, np.random.default_rng([17, first])):
                 cast += len(met.row) + len(met.away)
                 s = met.surface
                 side = elements.side(s.triangle, s.u, s.v, s.side)
@@ -118,7 +119,7 @@ class ExtendedShots(FreshRayTransport):
             origin, direction, _ = self.rays.start(side[part], number[part], side[part])
             flux = share[who[part]]
             found, other, escaped, cast = [], np.zeros(columns), np.zeros(columns), 0
-            for met in self.chains.follow(origin, direction, np.random.default_rng([23, serial, first])):
+            for met in self.chains.follow(origin, direction, RayKind.DIFFUSE, np.random.default_rng([23, serial, first])):
                 cast += len(met.row) + len(met.away)
                 s = met.surface
                 arrives = flux[met.row] * _colors(met.weight, columns)

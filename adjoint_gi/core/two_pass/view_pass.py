@@ -16,7 +16,7 @@ from ..bsdf import table as bsdf
 from ..lights.direct import direct_irradiance
 from ..scene.world import Surface
 from ..walks.gathering import Estimate
-from ..walks.radiance import Gathered, Walk, departure, leaving, light_share, lobes_of, met, next_event, take, white
+from ..walks.radiance import Gathered, Walk, departure, leaving, light_share, lobes_of, met, next_event, white
 from .known_light import KnownLight
 
 
@@ -50,20 +50,20 @@ class View:
             at = np.flatnonzero(known)
             if len(at):
                 bright = weight[at] * below_coat(lobes, at)
-                first, rest, cast = self._known(take(surface, at), segments, mirrored[at], counts, rng)
+                first, rest, cast = self._known(surface.take(at), segments, mirrored[at], counts, rng)
                 out[row[at]] += bright * first
                 indirect[row[at]] += bright * rest
                 rays += cast
                 lobes = lobes.without_diffuse(known)
             at = np.flatnonzero(~known & (lobes.diffuse.max(axis=1) > 0))
             if self.unmet is not None and len(at):
-                indirect[row[at]] += weight[at] * below_coat(lobes, at) * self.unmet.at(take(surface, at), segments)[1]
+                indirect[row[at]] += weight[at] * below_coat(lobes, at) * self.unmet.at(surface.take(at), segments)[1]
             # Step 2: points with nothing left have come to their end.
             left = (lobes.diffuse.max(axis=1) > 0) | lobes.others()
             if not left.all():
                 at = np.flatnonzero(left)
                 row, weight, hops, mirrored = row[at], weight[at], hops[at], mirrored[at]
-                surface, lobes = take(surface, at), lobes.take(at)
+                surface, lobes = surface.take(at), lobes.take(at)
             if not len(row):
                 break
             # Step 3: light points.
@@ -80,7 +80,7 @@ class View:
             share, pdf, delta = light_share(lobes)[go], scattered.pdf_w[go], scattered.delta[go]
             weight, row = weight[go] * scattered.weight[go], row[go]
             hops, mirrored = hops[go] - ~delta, mirrored[go] & delta
-            triangle, u, v, t = walk.world.intersect(origin, wi)
+            triangle, u, v, t = walk.world.intersect(origin, wi, scattered.kind[go])
             rays += len(go)
             if counts:
                 out[row] += weight * met(walk, origin, wi, (triangle, u, v, t), pdf, delta, share)
@@ -104,7 +104,7 @@ class View:
         at = np.flatnonzero(mirrored)
         if not (self.sharp and counts and len(at)):
             return first, rest, 0
-        first[at], cast = direct_irradiance(self.walk.world, self.walk.emitters, take(surface, at), 1, rng)
+        first[at], cast = direct_irradiance(self.walk.world, self.walk.emitters, surface.take(at), 1, rng)
         return first, rest, cast
 
 

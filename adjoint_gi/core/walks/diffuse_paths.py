@@ -16,6 +16,7 @@ from ..receivers.base import Receivers
 from ..sampling import maps as sampling
 from ..sampling import sobol as low_discrepancy
 from ..sampling.maps import PI, columns, dot
+from ..scene.arrays import RayKind
 from ..scene.faces import Faces
 from ..scene.world import World
 
@@ -61,7 +62,6 @@ class PathTracer:
         self.emitters = Emitters(world)
         self.faces = Faces(world)
         self.drawn, self.met = self.emitters.any_drawn(), self.emitters.any_met()
-        self.offset = np.float32(world.offset)
 
     def batch(self, first: int, last: int, samples: int, index: int) -> PathBatch:
         """Samples `index` to `index + samples` of receivers `first` to `last`; the same arguments give the same bits."""
@@ -138,8 +138,7 @@ class PathTracer:
             length = k + 1
             n = len(path)
             counts, last = length >= walk.min_length, length == walk.max_length
-            origin = ng * self.offset
-            origin += position
+            origin = self.world.lifted(position, ng)
             u = self._numbers(numbers, path, k, n, rng)
             target = lit[0 if length == 1 else 1]
 
@@ -155,7 +154,7 @@ class PathTracer:
 
             # Step B: a ray drawn by the cosine; Eq. 12 adds the emission where it arrives, at the same path length.
             w, cosine = sampling.cosine_hemisphere(ns, u[0], u[1])
-            hit = self.world.intersect(origin.T, w.T)
+            hit = self.world.intersect(origin.T, w.T, RayKind.DIFFUSE)
             triangle, hu, hv, t = hit
             rays += n
             above = None

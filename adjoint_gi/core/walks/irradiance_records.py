@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..sampling.maps import polar
+
 LEVELS = 24  # of grids whose cells halve from one to the next
 LARGE = np.float32(1e12)
 
@@ -133,9 +135,8 @@ def hemisphere(rows: int, cols: int, rng: np.random.Generator, count: int) -> tu
     jitter = rng.random((2, count, rows, cols), np.float32)
     s2 = (np.arange(rows, dtype=np.float32)[:, None] + jitter[0]) / rows
     phi = (np.arange(cols, dtype=np.float32) + jitter[1]) * np.float32(2 * np.pi / cols)
-    s = np.sqrt(s2)
-    local = np.stack([s * np.cos(phi), s * np.sin(phi), np.sqrt(np.maximum(1 - s2, 0))], axis=-1)
-    return local.astype(np.float32), ((np.arange(cols) + 0.5) * 2 * np.pi / cols).astype(np.float32)
+    local = np.moveaxis(polar(s2, phi), 0, -1)
+    return np.ascontiguousarray(local, np.float32), ((np.arange(cols) + 0.5) * 2 * np.pi / cols).astype(np.float32)
 
 
 def gradients(radiance: np.ndarray, distance: np.ndarray, local: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ import numpy as np
 from ..bsdf import table as bsdf
 from ..scene.shading import ColorField
 from ..scene.world import Surface, World
-from .radiance import leaving, take
+from .radiance import leaving
 
 ROULETTE = 4  # segments after which chains end at random
 
@@ -68,8 +68,10 @@ class Chains:
         coating = self.table.coating(surface.triangle, surface.u, surface.v)
         return out - self.table.coat_at(coating, np.einsum("ij,ij->i", surface.ns, wo))
 
-    def follow(self, origin: np.ndarray, wi: np.ndarray, rng: np.random.Generator, dark: np.ndarray | None = None) -> Iterator[Met]:
-        """Follow rays (n, 3) float32 of weight 1 and yield what they meet, segment by segment.
+    def follow(
+        self, origin: np.ndarray, wi: np.ndarray, kind: np.uint8, rng: np.random.Generator, dark: np.ndarray | None = None
+    ) -> Iterator[Met]:
+        """Follow rays (n, 3) float32 of weight 1, at first of `kind`, and yield what they meet, segment by segment.
 
         What is hit closer than `dark` (n,) on the first segment counts as escaped.
         """
@@ -79,7 +81,7 @@ class Chains:
         for segments in range(1, self.depth + 2):
             if not len(row):
                 return
-            triangle, u, v, t = self.world.intersect(origin, wi)
+            triangle, u, v, t = self.world.intersect(origin, wi, kind)
             on = triangle >= 0
             if dark is not None and segments == 1:
                 on &= t >= dark
@@ -93,7 +95,7 @@ class Chains:
             go = np.zeros(0, np.int64)
             smooth = clear
             if self.any and segments <= self.depth:
-                go, origin, wi, value, delta = self._scatter(surface, wo, weight, segments, rng)
+                go, origin, wi, value, delta, kind = self._scatter(surface, wo, weight, segments, rng)
                 sent[go] = value
                 smooth = clear[go] & delta
             yield Met(segments, row, surface, weight, share, sent, clear, away, lost)
@@ -101,10 +103,10 @@ class Chains:
 
     def _scatter(
         self, surface: Surface, wo: np.ndarray, weight: np.ndarray, segments: int, rng: np.random.Generator
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Rows (k,) that go on, their origins, directions and weights (k, 3), and whether by a perfectly smooth lobe (k,)."""
+    ) -> tuple[np.ndarray, ...]:
+        """Rows (k,) that go on, their origins, directions and weights (k, 3), whether by a perfectly smooth lobe (k,), and kinds (k,)."""
         at = np.flatnonzero(self.shiny[surface.triangle])
-        part = take(surface, at)
+        part = surface.take(at)
         lobes = self.table.at(part.triangle, part.u, part.v, part.ns, part.side, wo[at])
         lobes = lobes.without_diffuse(np.ones(len(at), bool))
         if not self.rough:
@@ -116,6 +118,5 @@ class Chains:
             chance = np.clip(value.max(axis=1), np.float32(0.05), np.float32(1))
             keep = np.flatnonzero(rng.random(len(go), np.float32) < chance)
             go, value = go[keep], value[keep] / chance[keep, None]
-        side = np.where(scattered.through[go], np.float32(-1), np.float32(1))[:, None]
-        origin = part.position[go] + side * np.float32(self.world.offset) * part.ng[go]
-        return at[go], np.ascontiguousarray(origin), np.ascontiguousarray(scattered.wi[go]), value, scattered.delta[go]
+        origin = self.world.leave(part.take(go), scattered.through[go])
+        return at[go], np.ascontiguousarray(origin), np.ascontiguousarray(scattered.wi[go]), value, scattered.delta[go], scattered.kind[go]

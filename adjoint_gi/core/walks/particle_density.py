@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..lights.emission import STEPS
 from ..receivers.base import SurfaceReceivers
+from ..sampling.additive import STEPS, additive
 from ..scene.world import World
 
 HITS = 100  # particles wanted within a kernel, if they were spread evenly over the scene
@@ -137,7 +137,7 @@ class ParticleDensity:
         # Step 1: triangles by area, one jittered point in each n-th; places in them by a low-discrepancy sequence.
         at = (np.arange(n) + rng.random(n)) / n * self._total
         triangle = np.minimum(np.searchsorted(self._cumulative, at, side="right"), len(self._cumulative) - 1)
-        s, t = (np.arange(1, n + 1) * STEPS[:2, None] + rng.random((2, 1))) % 1.0
+        s, t = additive(np.arange(1, n + 1), STEPS[4][:2], rng.random((2, 1)))
         root = np.sqrt(s)
         surface = self.world.surface(triangle, (1 - root).astype(np.float32), (t * root).astype(np.float32))
         # Step 2: every point stands for the same area.

@@ -9,9 +9,10 @@ import numpy as np
 
 from ..bsdf import table as bsdf
 from ..lights.emission import Particles
-from ..lights.outgoing import cosine_directions
+from ..sampling.maps import cosine_directions
+from ..scene.arrays import RayKind
 from ..scene.world import Surface, World
-from .radiance import leaving, take
+from .radiance import leaving
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,14 +84,14 @@ def walk(
     not as on light (Veach 1997, section 5.3).
     """
     origin, direction, weight = particles.origin, particles.direction, particles.weight
-    row = np.arange(len(weight))
+    row, kind = np.arange(len(weight)), particles.kind
     ends = Ends(emitted=len(weight), emitted_energy=_energy(weight))
     for length in range(1, max_length + 1):
         if not len(origin):
             return ends
         # Step 1: fly to the nearest surface, or escape.
         ends.rays += len(origin)
-        triangle, u, v, t = world.intersect(origin, direction)
+        triangle, u, v, t = world.intersect(origin, direction, kind)
         met = triangle >= 0
         if length == 1:
             # What is hit where a particle still lights nothing, or beyond its reach, stays dark: the particle counts as escaped.
@@ -130,7 +131,7 @@ def walk(
         weight, row = scattered.power[alive] / np.minimum(share[alive], np.float32(1))[:, None], row[alive]
         ends.gained += gained
         ends.absorbed_energy += before - _energy(weight) + gained
-        origin, direction = scattered.departure(world, surface, alive, rng)
+        origin, direction, kind = scattered.departure(world, surface, alive, rng)
     ends.cut += len(origin)
     ends.cut_energy += _energy(weight)
     return ends
@@ -139,26 +140,29 @@ def walk(
 @dataclass(frozen=True, eq=False)
 class _Scattered:
     """Power (n, 3) that goes on. Where `by_cosine` (n,) bool, the direction is drawn about `normal` only for those that survive;
-    elsewhere it is `direction`, on the other side of the surface where `through`. None: all by cosine. bent (n,): factor in `power`
-    from departing by another cosine than that to the shading normal."""
+    elsewhere it is `direction`, on the other side of the surface where `through`, as a ray of `kind`. None: all by cosine.
+    bent (n,): factor in `power` from departing by another cosine than that to the shading normal."""
 
     power: np.ndarray
     normal: np.ndarray
     by_cosine: np.ndarray | None = None
     direction: np.ndarray | None = None
     through: np.ndarray | None = None
+    kind: np.ndarray | None = None
     bent: np.ndarray | None = None
 
-    def departure(self, world: World, surface: Surface, alive: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Origins and directions (m, 3) float32 of the survivors `alive` (m,)."""
+    def departure(
+        self, world: World, surface: Surface, alive: np.ndarray, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | np.uint8]:
+        """Origins and directions (m, 3) float32 of the survivors `alive` (m,), and the `RayKind` of their rays."""
         s, t = rng.random(len(alive), np.float32), rng.random(len(alive), np.float32)
         direction = cosine_directions(self.normal[alive], s, t)
-        sign = np.float32(world.offset)
-        if self.by_cosine is not None:
-            other = np.flatnonzero(~self.by_cosine[alive])
-            direction[other] = self.direction[alive[other]]
-            sign = np.where(self.through[alive], -sign, sign)[:, None]
-        return surface.position[alive] + sign * surface.ng[alive], direction
+        surface = surface.take(alive)
+        if self.by_cosine is None:
+            return world.leave(surface), direction, RayKind.DIFFUSE
+        other = np.flatnonzero(~self.by_cosine[alive])
+        direction[other] = self.direction[alive[other]]
+        return world.leave(surface, self.through[alive]), direction, self.kind[alive]
 
 
 def _diffuse(
@@ -175,7 +179,7 @@ def _diffuse(
     towards = cosine_directions(surface.ns, rng.random(n, np.float32), rng.random(n, np.float32))
     power[np.einsum("ij,ij->i", towards, surface.ng) <= 0] = 0
     none = np.zeros(n, bool)
-    return _Scattered(power, surface.ng, none, towards, none)
+    return _Scattered(power, surface.ng, none, towards, none, np.full(n, RayKind.DIFFUSE))
 
 
 def _sampled(
@@ -198,6 +202,7 @@ def _sampled(
     else:
         towards = np.zeros_like(direction)
     through = np.zeros(len(wo), bool)
+    kind = np.full(len(wo), RayKind.DIFFUSE)
     bent = np.ones(len(wo), np.float32)
     if len(rest):
         drawn = bsdf.sample(lobes.take(rest), rng)
@@ -209,10 +214,10 @@ def _sampled(
             weight = weight * leaves[:, None]
             bent[rest] = leaves
         good = np.zeros(len(rest), bool)
-        good[leaving(take(surface, rest), drawn)] = True
+        good[leaving(surface.take(rest), drawn)] = True
         out.power[rest] = np.where(good[:, None], arriving[rest] * weight, 0)
-        towards[rest], through[rest] = drawn.wi, drawn.through
-    return _Scattered(out.power, out.normal, plain, towards, through, bent)
+        towards[rest], through[rest], kind[rest] = drawn.wi, drawn.through, drawn.kind
+    return _Scattered(out.power, out.normal, plain, towards, through, kind, bent)
 
 
 def shading_factor(surface: Surface, direction: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ import numpy as np
 from ..bsdf import table as bsdf
 from ..lights.emitters import Emitters
 from ..sampling.maps import power_heuristic, sphere
+from ..scene.arrays import RayKind
 from ..scene.world import Surface, World
 
 INF = np.float32(np.inf)
@@ -91,7 +92,7 @@ def gather(walk: Walk, surface: Surface, lobes: bsdf.Lobes, rng: np.random.Gener
         share = light_share(lobes)[go]
         weight, row = weight[go] * scattered.weight[go], row[go]
         pdf, delta = scattered.pdf_w[go], scattered.delta[go]
-        triangle, u, v, t = walk.world.intersect(origin, wi)
+        triangle, u, v, t = walk.world.intersect(origin, wi, scattered.kind[go])
         rays += len(go)
         # Step 3: emission the ray meets.
         if counts and (walk.lobes or delta.any() or walk.emitters.any_background):
@@ -113,7 +114,7 @@ def gather(walk: Walk, surface: Surface, lobes: bsdf.Lobes, rng: np.random.Gener
             weight = weight / p[:, None]
         if not keep.all():
             at = np.flatnonzero(keep)
-            weight, row, surface, lobes = weight[at], row[at], take(surface, at), lobes.take(at)
+            weight, row, surface, lobes = weight[at], row[at], surface.take(at), lobes.take(at)
     return Gathered(direct, indirect, rays)
 
 
@@ -127,7 +128,8 @@ def evenly(lobes: bsdf.Lobes, scattered: bsdf.Scattered, rng: np.random.Generato
     d = scattered.delta
     through = np.where(d, scattered.through, np.einsum("ij,ij->i", wi, lobes.z) < 0)
     wi = np.where(d[:, None], scattered.wi, wi).astype(np.float32)
-    return bsdf.Scattered(wi, np.where(d[:, None], scattered.weight, value / pdf[:, None]), np.where(d, 0, pdf), d, through)
+    weight = np.where(d[:, None], scattered.weight, value / pdf[:, None])
+    return bsdf.Scattered(wi, weight, np.where(d, 0, pdf), d, through, scattered.diffuse)
 
 
 def leaving(surface: Surface, scattered: bsdf.Scattered) -> np.ndarray:
@@ -138,8 +140,7 @@ def leaving(surface: Surface, scattered: bsdf.Scattered) -> np.ndarray:
 
 def departure(walk: Walk, surface: Surface, scattered: bsdf.Scattered, go: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Origins off the surface and directions, (m, 3) float32 each, of the rays in rows `go` (m,)."""
-    side = np.where(scattered.through[go], np.float32(-1), np.float32(1))[:, None]
-    origin = surface.position[go] + side * np.float32(walk.world.offset) * surface.ng[go]
+    origin = walk.world.leave(surface.take(go), scattered.through[go])
     return np.ascontiguousarray(origin), np.ascontiguousarray(scattered.wi[go])
 
 
@@ -154,22 +155,22 @@ def next_event(
     if not len(able):
         return able, np.zeros((0, 3), np.float32), 0
     part = lobes if len(able) == len(lobes.wo) else lobes.take(able)
-    ng = surface.ng[able]
+    surface = surface.take(able)
     # Shadow rays start on one side; where a rough lobe lets light through, on either with equal probability.
     share = light_share(part)
     below = (share < 1) & (rng.random(len(able), np.float32) < 0.5)
-    sign = np.where(below, np.float32(-1), np.float32(1))[:, None]
-    origin = surface.position[able] + sign * np.float32(walk.world.offset) * ng
+    origin = walk.world.leave(surface, below)
     u = rng.random((3, len(able)), np.float32) if uniform is None else uniform[:, able]
     s = walk.emitters.draw(np.ascontiguousarray(origin.T), u)
     wi = np.ascontiguousarray(s.wi.T)
     value, pdf = bsdf.evaluate(part, wi)
     # A light on the other side of the surface, geometric or shading, does not count.
-    agrees = (np.einsum("ij,ij->i", wi, ng) * sign[:, 0] > 0) & (np.einsum("ij,ij->i", wi, part.z) * sign[:, 0] > 0)
+    sign = np.where(below, np.float32(-1), np.float32(1))
+    agrees = (np.einsum("ij,ij->i", wi, surface.ng) * sign > 0) & (np.einsum("ij,ij->i", wi, part.z) * sign > 0)
     lit = np.flatnonzero((value.max(axis=1) > 0) & (s.radiance.max(axis=0) > 0) & agrees)
     if not len(lit):
         return lit, np.zeros((0, 3), np.float32), 0
-    hidden = walk.world.occluded(np.ascontiguousarray(origin[lit]), wi[lit], s.distance[lit]) & s.shadow[lit]
+    hidden = walk.world.occluded(np.ascontiguousarray(origin[lit]), wi[lit], s.distance[lit], RayKind.SHADOW) & s.shadow[lit]
     cast = len(lit)
     lit = lit[~hidden]
     pdf_light = s.pdf_w[lit] * share[lit]
@@ -226,12 +227,6 @@ def _density(walk: Walk, pdf: np.ndarray, delta: np.ndarray, share: np.ndarray) 
     if not walk.lights:
         return np.full(len(pdf), INF)
     return np.where(delta, INF, np.maximum(pdf / share * np.float32(walk.lobes), np.float32(1e-12)))
-
-
-def take(surface: Surface, which: np.ndarray) -> Surface:
-    """Some of the points."""
-    s = surface
-    return Surface(s.triangle[which], s.u[which], s.v[which], s.position[which], s.ng[which], s.ns[which], s.side[which])
 
 
 def white(walk: Walk, surface: Surface) -> bsdf.Lobes:
