@@ -15,6 +15,7 @@ from ..bsdf import table as bsdf
 from ..scene.shading import ColorField
 from ..scene.world import Surface, World
 from .radiance import leaving
+from .shooting import Arrived, Flight, Scattered, shoot
 
 ROULETTE = 4  # segments after which chains end at random
 
@@ -40,6 +41,13 @@ class Met:
     clear: np.ndarray
     away: np.ndarray
     lost: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Mirrored(Scattered):
+    """Rays that go on; delta (k,) bool: by a perfectly smooth lobe."""
+
+    delta: np.ndarray
 
 
 class Chains:
@@ -75,48 +83,31 @@ class Chains:
 
         What is hit closer than `dark` (n,) on the first segment counts as escaped.
         """
-        row = np.arange(len(origin))
-        weight = np.ones((len(origin), 3), np.float32)
+        flight = Flight(origin, wi, kind, np.ones((len(origin), 3), np.float32))
         clear = np.ones(len(origin), bool)
-        for segments in range(1, self.depth + 2):
-            if not len(row):
-                return
-            triangle, u, v, t = self.world.intersect(origin, wi, kind)
-            on = triangle >= 0
-            if dark is not None and segments == 1:
-                on &= t >= dark
-            hit, miss = np.flatnonzero(on), np.flatnonzero(~on)
-            wo = -wi[hit]
-            surface = self.world.surface(triangle[hit], u[hit], v[hit], wo)
-            away, lost = row[miss], weight[miss]
-            row, weight, clear = row[hit], weight[hit], clear[hit]
-            share = self.share(surface, wo)
-            sent = np.zeros_like(weight)
-            go = np.zeros(0, np.int64)
-            smooth = clear
-            if self.any and segments <= self.depth:
-                go, origin, wi, value, delta, kind = self._scatter(surface, wo, weight, segments, rng)
-                sent[go] = value
-                smooth = clear[go] & delta
-            yield Met(segments, row, surface, weight, share, sent, clear, away, lost)
-            row, weight, clear = row[go], sent[go], smooth
+        for segment in shoot(self.world, flight, self.depth + 1, self._scatter, rng, dark):
+            row, at, on = segment.row, segment.arrived, segment.scattered
+            sent = np.zeros_like(at.weight)
+            sent[on.rows] = on.flight.weight
+            share = self.share(at.surface, -at.direction)
+            yield Met(at.segments, row, at.surface, at.weight, share, sent, clear[row], segment.away, segment.lost)
+            clear[row[on.rows]] &= on.delta
 
-    def _scatter(
-        self, surface: Surface, wo: np.ndarray, weight: np.ndarray, segments: int, rng: np.random.Generator
-    ) -> tuple[np.ndarray, ...]:
-        """Rows (k,) that go on, their origins, directions and weights (k, 3), whether by a perfectly smooth lobe (k,), and kinds (k,)."""
-        at = np.flatnonzero(self.shiny[surface.triangle])
-        part = surface.take(at)
-        lobes = self.table.at(part.triangle, part.u, part.v, part.ns, part.side, wo[at])
-        lobes = lobes.without_diffuse(np.ones(len(at), bool))
+    def _scatter(self, at: Arrived, rng: np.random.Generator) -> Mirrored:
+        """One ray by the lobes that are not diffuse, from the surfaces that have any."""
+        rows = np.flatnonzero(self.shiny[at.surface.triangle]) if at.segments <= self.depth else np.zeros(0, np.int64)
+        surface = at.surface.take(rows)
+        lobes = self.table.at(surface.triangle, surface.u, surface.v, surface.ns, surface.side, -at.direction[rows])
+        lobes = lobes.without_diffuse(np.ones(len(rows), bool))
         if not self.rough:
             lobes = lobes.without(tuple(~s.delta for s in lobes.slots))
-        scattered = bsdf.sample(lobes, rng)
-        go = leaving(part, scattered)
-        value = weight[at[go]] * scattered.weight[go]
-        if segments >= ROULETTE:
-            chance = np.clip(value.max(axis=1), np.float32(0.05), np.float32(1))
+        drawn = bsdf.sample(lobes, rng)
+        go = leaving(surface, drawn)
+        weight = at.weight[rows[go]] * drawn.weight[go]
+        if at.segments >= ROULETTE:
+            chance = np.clip(weight.max(axis=1), np.float32(0.05), np.float32(1))
             keep = np.flatnonzero(rng.random(len(go), np.float32) < chance)
-            go, value = go[keep], value[keep] / chance[keep, None]
-        origin = self.world.leave(part.take(go), scattered.through[go])
-        return at[go], np.ascontiguousarray(origin), np.ascontiguousarray(scattered.wi[go]), value, scattered.delta[go], scattered.kind[go]
+            go, weight = go[keep], weight[keep] / chance[keep, None]
+        origin = np.ascontiguousarray(self.world.leave(surface.take(go), drawn.through[go]))
+        flight = Flight(origin, np.ascontiguousarray(drawn.wi[go]), drawn.kind[go], weight)
+        return Mirrored(rows[go], flight, drawn.delta[go])

@@ -13,6 +13,7 @@ from ..sampling.maps import cosine_directions
 from ..scene.arrays import RayKind
 from ..scene.world import Surface, World
 from .radiance import leaving
+from .shooting import Arrived, Flight, Scattered, shoot
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,62 +84,66 @@ def walk(
     `importance`: the particles come from a receiver, against the light: shading normals act as they do on a path of radiance, and
     not as on light (Veach 1997, section 5.3).
     """
-    origin, direction, weight = particles.origin, particles.direction, particles.weight
-    row, kind = np.arange(len(weight)), particles.kind
-    ends = Ends(emitted=len(weight), emitted_energy=_energy(weight))
-    for length in range(1, max_length + 1):
-        if not len(origin):
-            return ends
-        # Step 1: fly to the nearest surface, or escape.
-        ends.rays += len(origin)
-        triangle, u, v, t = world.intersect(origin, direction, kind)
-        met = triangle >= 0
-        if length == 1:
-            # What is hit where a particle still lights nothing, or beyond its reach, stays dark: the particle counts as escaped.
-            met &= t >= particles.dark
-            if particles.reach is not None:
-                met &= t <= particles.reach
-        hit = np.flatnonzero(met)
-        if len(hit) < len(triangle):
-            ends.escaped += len(triangle) - len(hit)
-            ends.escaped_energy += _energy(weight) - _energy(weight := weight[hit])
-            triangle, u, v, direction, row = triangle[hit], u[hit], v[hit], direction[hit], row[hit]
-        surface = world.surface(triangle, u, v, -direction)
-
-        # Step 2: the receiver measures by the cosine to its shading normal, light arrives by that to the geometric one.
-        arriving = weight
-        if world.any_smooth and not importance:
-            arriving = weight * shading_factor(surface, direction)[:, None]
-
-        # Step 3: the power that it would go on with.
-        if table is None:
-            scattered = _diffuse(world, surface, arriving, world.albedo(surface), importance, rng)
-        else:
-            scattered = _sampled(world, surface, table, direction, arriving, importance, rng)
-        visit(Hits(length, surface, arriving, scattered.power, row))
-
-        # Step 4: absorbed or not. One particle cannot become two, so a share above 1 makes it stronger.
-        share = scattered.power.sum(axis=1) / np.maximum(weight.sum(axis=1), np.float32(1e-37))
-        alive = np.flatnonzero(rng.random(len(share), np.float32) < share)
-        ends.absorbed += len(share) - len(alive)
-        before = _energy(weight)
-        if world.any_smooth and not importance:
-            bent = scattered.bent if scattered.bent is not None else np.float32(1)
-            factor = shading_factor(surface, direction) * bent
-            gained = _energy(scattered.power * (1 - 1 / np.maximum(factor, np.float32(1e-7)))[:, None])
-        else:
-            gained = 0.0
-        weight, row = scattered.power[alive] / np.minimum(share[alive], np.float32(1))[:, None], row[alive]
-        ends.gained += gained
-        ends.absorbed_energy += before - _energy(weight) + gained
-        origin, direction, kind = scattered.departure(world, surface, alive, rng)
-    ends.cut += len(origin)
-    ends.cut_energy += _energy(weight)
+    scatter = Analog(world, table, importance)
+    flight = Flight(particles.origin, particles.direction, particles.kind, particles.weight)
+    alive, energy = len(particles.weight), _energy(particles.weight)
+    ends = Ends(emitted=alive, emitted_energy=energy)
+    for segment in shoot(world, flight, max_length, scatter, rng, particles.dark, particles.reach):
+        at, out = segment.arrived, segment.scattered
+        visit(Hits(at.segments, at.surface, out.arriving, out.leaving, segment.row))
+        ends.rays += segment.rays
+        ends.escaped += len(segment.away)
+        ends.absorbed += len(segment.row) - len(out.rows)
+        alive, energy = len(out.rows), _energy(out.flight.weight)
+        ends.escaped_energy += _energy(segment.lost)
+        ends.absorbed_energy += _energy(at.weight) - energy + out.gained
+        ends.gained += out.gained
+    ends.cut, ends.cut_energy = alive, energy
     return ends
 
 
 @dataclass(frozen=True, eq=False)
-class _Scattered:
+class Decided(Scattered):
+    """Particles that go on; arriving, leaving (n, 3) as in `Hits`, and the power that shading normals added, W."""
+
+    arriving: np.ndarray
+    leaving: np.ndarray
+    gained: float
+
+
+class Analog:
+    """Absorbs particles, or scatters them with all their power: what `walk` does where they arrive."""
+
+    def __init__(self, world: World, table: bsdf.BsdfTable | None, importance: bool) -> None:
+        self.world, self.table, self.importance = world, table, importance
+        self.bends = world.any_smooth and not importance
+
+    def __call__(self, at: Arrived, rng: np.random.Generator) -> Decided:
+        """The particles that go on, and what it was decided by."""
+        # Step 1: the receiver measures by the cosine to its shading normal, light arrives by that to the geometric one.
+        surface, arriving = at.surface, at.weight
+        if self.bends:
+            arriving = arriving * shading_factor(surface, at.direction)[:, None]
+        # Step 2: the power that each would go on with.
+        if self.table is None:
+            out = _diffuse(self.world, surface, arriving, self.world.albedo(surface), self.importance, rng)
+        else:
+            out = _sampled(self.world, surface, self.table, at.direction, arriving, self.importance, rng)
+        # Step 3: absorbed or not. One particle cannot become two, so a share above 1 makes it stronger.
+        share = out.power.sum(axis=1) / np.maximum(at.weight.sum(axis=1), np.float32(1e-37))
+        alive = np.flatnonzero(rng.random(len(share), np.float32) < share)
+        weight = out.power[alive] / np.minimum(share[alive], np.float32(1))[:, None]
+        # Step 4: those that go on leave.
+        flight = Flight(*out.departure(self.world, surface, alive, rng), weight=weight)
+        return Decided(alive, flight, arriving, out.power, self._gained(at, out) if self.bends else 0.0)
+
+    def _gained(self, at: Arrived, out: _Outgoing) -> float:
+        factor = shading_factor(at.surface, at.direction) * (1 if out.bent is None else out.bent)
+        return _energy(out.power * (1 - 1 / np.maximum(factor, np.float32(1e-7)))[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class _Outgoing:
     """Power (n, 3) that goes on. Where `by_cosine` (n,) bool, the direction is drawn about `normal` only for those that survive;
     elsewhere it is `direction`, on the other side of the surface where `through`, as a ray of `kind`. None: all by cosine.
     bent (n,): factor in `power` from departing by another cosine than that to the shading normal."""
@@ -167,19 +172,19 @@ class _Scattered:
 
 def _diffuse(
     world: World, surface: Surface, arriving: np.ndarray, albedo: np.ndarray, importance: bool, rng: np.random.Generator
-) -> _Scattered:
+) -> _Outgoing:
     """Light leaves a diffuse surface by the cosine to the geometric normal, as its radiance is the same in all directions.
 
     Importance leaves by that to the shading normal, and what would go below the surface is lost, as on a path of radiance.
     """
     power = arriving * albedo
     if not (importance and world.any_smooth):
-        return _Scattered(power, surface.ng)
+        return _Outgoing(power, surface.ng)
     n = len(power)
     towards = cosine_directions(surface.ns, rng.random(n, np.float32), rng.random(n, np.float32))
     power[np.einsum("ij,ij->i", towards, surface.ng) <= 0] = 0
     none = np.zeros(n, bool)
-    return _Scattered(power, surface.ng, none, towards, none, np.full(n, RayKind.DIFFUSE))
+    return _Outgoing(power, surface.ng, none, towards, none, np.full(n, RayKind.DIFFUSE))
 
 
 def _sampled(
@@ -190,7 +195,7 @@ def _sampled(
     arriving: np.ndarray,
     importance: bool,
     rng: np.random.Generator,
-) -> _Scattered:
+) -> _Outgoing:
     """Directions and power by the whole BSDF; points that have no other lobe than diffuse as in `_diffuse`."""
     wo = -direction
     lobes = table.at(surface.triangle, surface.u, surface.v, surface.ns, surface.side, wo)
@@ -217,7 +222,7 @@ def _sampled(
         good[leaving(surface.take(rest), drawn)] = True
         out.power[rest] = np.where(good[:, None], arriving[rest] * weight, 0)
         towards[rest], through[rest], kind[rest] = drawn.wi, drawn.through, drawn.kind
-    return _Scattered(out.power, out.normal, plain, towards, through, kind, bent)
+    return _Outgoing(out.power, out.normal, plain, towards, through, kind, bent)
 
 
 def shading_factor(surface: Surface, direction: np.ndarray) -> np.ndarray:
