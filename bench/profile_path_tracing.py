@@ -28,7 +28,7 @@ from adjgi.adjoint_gi.core.receivers import base as receivers  # noqa: E402
 from adjgi.adjoint_gi.core.sampling import maps as sampling  # noqa: E402
 from adjgi.adjoint_gi.core.sampling import sobol as low_discrepancy  # noqa: E402
 from adjgi.adjoint_gi.core.scene import faces, world  # noqa: E402
-from adjgi.adjoint_gi.core.walks import diffuse_paths as paths  # noqa: E402
+from adjgi.adjoint_gi.core.walks import paths  # noqa: E402
 from adjgi.solvers.path_tracing import PathSettings, PathTracing  # noqa: E402
 from adjgi.tests import scenes  # noqa: E402
 
@@ -43,7 +43,7 @@ PARTS = (
     (faces.Faces, "albedo_at", "reflectance of hits"),
     (low_discrepancy, "shifted", "Sobol numbers"),
     (receivers.SurfaceReceivers, "sample", "points of receivers"),
-    (paths, "_add", "adding up"),
+    (paths, "add", "adding up"),
 )
 
 

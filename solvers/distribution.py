@@ -33,12 +33,11 @@ from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Points, Receivers
 from ..adjoint_gi.core.sampling.sets import KINDS, Sampler
 from ..adjoint_gi.core.scene.world import Surface, World
-from ..adjoint_gi.core.walks import radiance
 from ..adjoint_gi.core.walks.gathering import BATCH, Estimate, Run
-from ..adjoint_gi.core.walks.radiance import Gathered, Walk
+from ..adjoint_gi.core.walks.paths import NEVER, Gathered, Paths, Walk, follow
+from ..adjoint_gi.core.walks.radiance import LobeVertices, lobes_of, white
 
 PLACE, LENS, FIRST = 0, 1, 2  # streams of the sampler; from FIRST on two for every surface on the way
-NEVER = 1 << 30
 
 
 @dataclass(frozen=True)
@@ -155,54 +154,37 @@ class Tracer:
             if s.max_length < 1:
                 nothing = np.zeros((len(surface.triangle), 3), np.float32)
                 return Gathered(nothing, nothing, 0)
-            lobes = radiance.white(self.walk, surface) if wo is None else radiance.lobes_of(self.walk, surface, wo)
-            found = self.trace(surface, lobes, on, 1, rng)
-            scale = np.float32(np.pi if wo is None else 1)
-            return Gathered(found.direct * scale, found.indirect * scale, found.rays)
+            lobes = white(self.walk, surface) if wo is None else lobes_of(self.walk, surface, wo)
+            found = self.trace(LobeVertices(self.walk, surface, lobes), on, 1, rng)
+            return found.times(np.float32(np.pi if wo is None else 1))
 
         return points, estimate
 
-    def trace(self, surface: Surface, lobes: bsdf.Lobes, rows: Rows, length: int, rng: np.random.Generator) -> Gathered:
-        """Radiance towards the `wo` of `lobes`; `length` is the path length of light that reaches the points directly."""
-        s, walk = self.settings, self.walk
+    def trace(self, vertices: LobeVertices, rows: Rows, length: int, rng: np.random.Generator) -> Gathered:
+        """Eq. 5 at `vertices`, Le left out; `length` is the path length of light that reaches them directly.
+
+        Beyond the surfaces that split, n = m = 1.
+        """
+        s, one = self.settings, np.ones((3, len(rows.number)), np.float32)
         if length > s.split_depth:
-            return radiance.gather(walk, surface, lobes, rng, length)
-        n = len(surface.triangle)
-        direct, indirect = np.zeros((n, 3), np.float32), np.zeros((n, 3), np.float32)
-        out = direct if length == 1 else indirect
-        rays = 0
+            return follow(Paths(self.walk, vertices, one, rng, length))
         stream = FIRST + 2 * (length - 1)
-        counts = length >= s.min_length
-        # (i) The source term: rays distributed over the emission of the lights.
-        if counts and walk.emitters.any_drawn():
-            for j in range(s.light_samples):
-                u = self._draw(stream, rows.split(s.light_samples, j), 3, rng)
-                at, value, cast = radiance.next_event(walk, surface, lobes, rng, u)
-                out[at] += value / np.float32(s.light_samples)
-                rays += cast
-        # (ii) The interreflection term: rays distributed by the BRDF.
-        share = radiance.light_share(lobes)
+        # (i) The source term: 1/n sum fr Le cos theta / p_light, over rays distributed over the emission of the lights.
+        lights = Paths(self.walk, vertices, one / np.float32(s.light_samples), rng, length)
+        for j in range(s.light_samples):
+            lights.light_points(self._draw(stream, rows.split(s.light_samples, j), 3, rng))
+        total = lights.gathered()
+        # (ii) The interreflection term: 1/m sum fr Lr cos theta / p_brdf, over rays distributed by the BRDF.
         for j in range(s.brdf_samples):
             mine = rows.split(s.brdf_samples, j)
-            scattered = bsdf.sample(lobes, rng, self._draw(stream + 1, mine, 4, rng))
-            go = radiance.leaving(surface, scattered)
-            if not len(go):
-                continue
-            origin, wi = radiance.departure(walk, surface, scattered, go)
-            hit = walk.world.intersect(origin, wi, scattered.kind[go])
-            rays += len(go)
-            weight = scattered.weight[go] / np.float32(s.brdf_samples)
-            delta = scattered.delta[go]
-            if counts and (walk.lobes or delta.any() or walk.emitters.any_background):
-                out[go] += weight * radiance.met(walk, origin, wi, hit, scattered.pdf_w[go], delta, share[go])
-            on = np.flatnonzero(hit[0] >= 0)
-            if length >= s.max_length or not len(on):
-                continue
-            there = walk.world.surface(hit[0][on], hit[1][on], hit[2][on], -wi[on])
-            found = self.trace(there, radiance.lobes_of(walk, there, -wi[on]), mine.take(go[on]), length + 1, rng)
-            indirect[go[on]] += weight[on] * found.indirect
-            rays += found.rays
-        return Gathered(direct, indirect, rays)
+            paths = Paths(self.walk, vertices, one / np.float32(s.brdf_samples), rng, length)
+            if paths.scatter(self._draw(stream + 1, mine, 4, rng)):
+                paths.emission_met()
+                paths.arrive()
+                if paths.alive:
+                    paths.collect_from(self.trace(paths.vertices, mine.take(paths.row), length + 1, rng))
+            total = total.plus(paths.gathered())
+        return total
 
     def _draw(self, stream: int, rows: Rows, dimensions: int, rng: np.random.Generator) -> np.ndarray:
         return self.sampler.draw(stream, rows.total, rows.receiver, rows.number, dimensions, rng)

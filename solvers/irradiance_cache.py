@@ -34,7 +34,8 @@ from ..adjoint_gi.core.scene.arrays import RayKind
 from ..adjoint_gi.core.scene.world import Surface, World
 from ..adjoint_gi.core.walks.gathering import Run, sliced
 from ..adjoint_gi.core.walks.irradiance_records import RecordIndex, Records, gradients, hemisphere
-from ..adjoint_gi.core.walks.radiance import Gathered, Walk, gather, lobes_of
+from ..adjoint_gi.core.walks.paths import Gathered, Walk
+from ..adjoint_gi.core.walks.radiance import gather, lobes_of
 
 BLOCK = 64  # records made together
 ROUND = 512  # records made before the cache is asked again

@@ -32,7 +32,7 @@ from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import Surface, World
 from ..adjoint_gi.core.walks.gathering import Run
-from ..adjoint_gi.core.walks.radiance import Gathered
+from ..adjoint_gi.core.walks.paths import Gathered
 
 MODELS = (
     ("bouknight", "Bouknight 1970", "Diffuse reflection only, Eq. 7"),

@@ -44,7 +44,7 @@ from ..adjoint_gi.core.two_pass.outside_light import OutsideLight
 from ..adjoint_gi.core.two_pass.view_pass import View, estimator
 from ..adjoint_gi.core.walks.gathering import BATCH, Run
 from ..adjoint_gi.core.walks.mirror_chains import Chains
-from ..adjoint_gi.core.walks.radiance import Walk
+from ..adjoint_gi.core.walks.paths import Walk
 
 FIRST = 0.3  # share of the progress that radiosity takes
 SHOTS = 1 << 14  # rays of the sides that shoot together, at least; each may become a chain of many

@@ -10,7 +10,7 @@ switch, so that its effect can be seen: directions drawn by the BRDF instead of 
 their power (`light_importance`), both joined by weights (`joined`; Veach and Guibas 1995), and even numbers over the first surfaces
 (`stratified`). Paths end at random once they carry little (roulette), which keeps the mean.
 
-Scenes of diffuse surfaces alone take a faster kernel (`core.walks.diffuse_paths`) than scenes with other lobes (`core.walks.radiance`).
+Scenes of diffuse surfaces alone have cheaper vertices (`core.walks.diffuse_paths`) than scenes with other lobes (`core.walks.radiance`).
 
 J. T. Kajiya, "The Rendering Equation", SIGGRAPH 1986, 143-150.
 """
@@ -36,9 +36,10 @@ from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.receivers.film import read_surfaces
 from ..adjoint_gi.core.scene.world import Surface, World
-from ..adjoint_gi.core.walks import radiance
-from ..adjoint_gi.core.walks.diffuse_paths import DIMENSIONS, PathTracer, Walk
+from ..adjoint_gi.core.walks.diffuse_paths import DIMENSIONS, PathTracer
 from ..adjoint_gi.core.walks.gathering import Run
+from ..adjoint_gi.core.walks.paths import NEVER, Gathered, Paths, Walk, by_root, by_weight
+from ..adjoint_gi.core.walks.radiance import lobes_of, paths_from, white
 
 BATCH = 1 << 14  # paths in a batch
 MOST_SAMPLES = 16  # of one receiver in a batch
@@ -102,21 +103,60 @@ class PathTracing(Solver):
     def solve(self, world: World, receivers: Receivers, settings: PathSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield about ten times a second; the fraction is samples done."""
         emitters = Emitters(world)
-        table = BsdfTable(world.scene)
+        walk = walk_of(world, emitters, settings)
         run = Run(self.spec, world, receivers, settings, emitters, notices(emitters, settings))
-        if table.only_diffuse and settings.plain:
-            yield from diffuse_steps(run, settings, rng)
+        if walk.table.only_diffuse and settings.plain:
+            yield from diffuse_steps(run, walk, settings, rng)
         else:
-            walk = general_walk(world, emitters, table, settings)
             yield from run.steps(lambda *at: estimate(walk, *at), settings.samples, rng)
 
 
-def diffuse_steps(run: Run, settings: PathSettings, rng: np.random.Generator) -> Iterator[Step]:
+def trace(paths: Paths) -> Gathered:
+    """Eq. 12: <Lo(x)> = Le(x) + Le(x') + Le(x'') + ..., for many paths side by side, until the last has ended.
+
+    Le(x) of the receiver itself is added elsewhere. A path's weight is the product of fr cos / pdf over its vertices.
+    """
+    while paths.alive:
+        # Le(x') of a point x' on the lights, drawn by their power.
+        paths.light_points()
+        # A direction drawn by the BRDF at x; the weight takes fr cos / pdf.
+        if not paths.scatter():
+            break
+        # Le(x') where the ray arrives, weighted against the light point.
+        paths.emission_met()
+        # x' is the next x. Weak paths end at random.
+        paths.arrive()
+    return paths.gathered()
+
+
+def walk_of(world: World, emitters: Emitters, settings: PathSettings) -> Walk:
+    """The walk with or without each variance reduction."""
+    s, table = settings, BsdfTable(world.scene)
+    return Walk(
+        world,
+        emitters,
+        table,
+        s.min_length,
+        s.max_length,
+        s.roulette_length if s.roulette else NEVER,
+        lights=s.light_importance,
+        lobes=s.joined or not s.light_importance,
+        uniform=not s.lobe_importance,
+        survival=by_root if table.only_diffuse and s.plain else by_weight,
+    )
+
+
+def estimate(walk: Walk, surface: Surface, wo: np.ndarray | None, rng: np.random.Generator) -> Gathered:
+    """One path from each surface point: radiance towards `wo`, or irradiance where it is None."""
+    if wo is not None:
+        return trace(paths_from(walk, surface, lobes_of(walk, surface, wo), rng))
+    return trace(paths_from(walk, surface, white(walk, surface), rng)).times(np.float32(np.pi))
+
+
+def diffuse_steps(run: Run, walk: Walk, settings: PathSettings, rng: np.random.Generator) -> Iterator[Step]:
     """The fast kernel for diffuse surfaces, with all variance reduction."""
     world, receivers, film, clock = run.world, run.receivers, run.film, run.clock
-    seed = tuple(int(x) for x in rng.integers(0, 2**32, 4))
-    walk = Walk(settings.min_length, settings.max_length, settings.roulette_length if settings.roulette else 0)
-    tracer = PathTracer(world, receivers, walk, seed)
+    tracer = PathTracer(walk, receivers, trace, tuple(int(x) for x in rng.integers(0, 2**32, 4)))
 
     # Step 1: passes over all receivers, in batches that run in any order of time but are added up in their own. What the receivers
     # are made of is read in between, so that light shows at once; camera samples find that out by themselves.
@@ -151,29 +191,6 @@ def diffuse_steps(run: Run, settings: PathSettings, rng: np.random.Generator) ->
             yield from clock.pause(Step(1.0, f"Reading surfaces, {done:.0%}", run.solution))
     run.partial = False
     yield from clock.last(Step(1.0, f"{settings.samples} samples", run.solution))
-
-
-def general_walk(world: World, emitters: Emitters, table: BsdfTable, settings: PathSettings) -> radiance.Walk:
-    """The walk over any lobes, with or without each variance reduction."""
-    return radiance.Walk(
-        world,
-        emitters,
-        table,
-        settings.min_length,
-        settings.max_length,
-        settings.roulette_length if settings.roulette else 1 << 30,
-        lights=settings.light_importance,
-        lobes=settings.joined or not settings.light_importance,
-        uniform=not settings.lobe_importance,
-    )
-
-
-def estimate(walk: radiance.Walk, surface: Surface, wo: np.ndarray | None, rng: np.random.Generator) -> radiance.Gathered:
-    """One path from each surface point: radiance towards `wo`, or irradiance where it is None."""
-    if wo is not None:
-        return radiance.gather(walk, surface, radiance.lobes_of(walk, surface, wo), rng)
-    found = radiance.gather(walk, surface, radiance.white(walk, surface), rng)
-    return radiance.Gathered(found.direct * np.float32(np.pi), found.indirect * np.float32(np.pi), found.rays)
 
 
 def notices(emitters: Emitters, settings: PathSettings) -> tuple[Notice, ...]:

@@ -45,7 +45,7 @@ from ..adjoint_gi.core.two_pass.outside_light import OutsideLight
 from ..adjoint_gi.core.two_pass.view_pass import View, estimator
 from ..adjoint_gi.core.walks.gathering import BATCH, Run
 from ..adjoint_gi.core.walks.mirror_chains import Chains
-from ..adjoint_gi.core.walks.radiance import Walk
+from ..adjoint_gi.core.walks.paths import Walk
 
 FIRST = 0.4  # share of the progress that the first pass takes
 

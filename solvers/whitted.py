@@ -34,7 +34,7 @@ from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.arrays import Lobe, RayKind, constant_of
 from ..adjoint_gi.core.scene.world import Surface, World
 from ..adjoint_gi.core.walks.gathering import Run
-from ..adjoint_gi.core.walks.radiance import Gathered
+from ..adjoint_gi.core.walks.paths import Gathered
 
 FRONT = 1 << 14  # rays that are followed at once
 MANY = 8  # glass surfaces after which rays that are all followed are very many

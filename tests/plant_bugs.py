@@ -76,9 +76,9 @@ BUGS = (
     ),
     Bug(
         "roulette without weight",
-        "adjoint_gi/core/walks/diffuse_paths.py",
-        "throughput.take(survive, axis=1) / chance.take(survive)",
-        "throughput.take(survive, axis=1)",
+        "adjoint_gi/core/walks/paths.py",
+        "weight.take(survive, axis=1) / chance.take(survive)",
+        "weight.take(survive, axis=1)",
         "tests/methods/test_path_tracing.py -k furnace",
     ),
     Bug(
@@ -97,9 +97,9 @@ BUGS = (
     ),
     Bug(
         "lost last bounce",
-        "adjoint_gi/core/walks/diffuse_paths.py",
-        "last = length >= walk.min_length, length == walk.max_length",
-        "last = length >= walk.min_length, length == walk.max_length - 1",
+        "adjoint_gi/core/walks/paths.py",
+        "        if self.length == walk.max_length:",
+        "        if self.length == walk.max_length - 1:",
         "tests/methods/test_path_tracing.py -k partial",
     ),
     Bug(

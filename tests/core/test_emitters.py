@@ -402,7 +402,7 @@ def test_light_points_and_rays_alone_agree_with_both_joined():
     origin, n = columns(world.leave(s)), columns(s.ng)
     rng = np.random.default_rng(5)
     alone = np.zeros((3, N), np.float32)
-    rows, values, _ = direct.from_lights(world, emitters, origin, n, n, rng.random((3, N), np.float32), joined=False)
+    rows, values, _ = direct.from_lights(world, emitters, origin, rng.random((3, N), np.float32), direct.irradiance(n, n), joined=False)
     alone[:, rows] = values
     exact = PI * (corner(0.9, 0.6, 0.5) + corner(0.9, 0.4, 0.5) + corner(0.1, 0.6, 0.5) + corner(0.1, 0.4, 0.5))
     assert abs(alone[0].mean(dtype=float) - exact) < Z * alone[0].std() / math.sqrt(N)

@@ -120,9 +120,8 @@ def test_distributed_rays_find_radiance_one():
     tracer = Tracer(world, Emitters(world), receivers, settings, 1)
     tracer.walk = dataclasses.replace(tracer.walk, lights=False, emission=emission)
     rows = Rows(np.zeros(len(wo), np.int64), np.arange(len(wo)), len(wo))
-    # The split stages draw light points whatever the walk says; they must find nothing here.
-    object.__setattr__(tracer.walk.emitters, "any_drawn", lambda *parts: False)
-    found = tracer.trace(surface, radiance.lobes_of(tracer.walk, surface, wo), rows, 1, rng)
+    vertices = radiance.LobeVertices(tracer.walk, surface, radiance.lobes_of(tracer.walk, surface, wo))
+    found = tracer.trace(vertices, rows, 1, rng)
     own = emission(surface.triangle, surface.u, surface.v, wo)
     check((own + found.direct + found.indirect).astype(float))
 

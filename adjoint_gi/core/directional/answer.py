@@ -17,7 +17,8 @@ from ..radiosity.settings import RadiositySettings
 from ..receivers.base import Points, Receivers
 from ..scene.world import Surface
 from ..walks.gathering import sliced
-from ..walks.radiance import Walk, gather
+from ..walks.paths import Walk
+from ..walks.radiance import gather
 from .rays import DirectionalRays
 from .scattering import Scattering
 

@@ -27,7 +27,7 @@ from ..sampling.maps import cosine_directions
 from ..scene.arrays import RayKind
 from ..scene.world import Surface, World
 from ..walks.particles import Hits, walk
-from ..walks.radiance import Gathered
+from ..walks.paths import Gathered
 from .detectors import CameraDetector, FaceDetector
 
 BATCH = 1 << 14  # walks in a batch

@@ -1,12 +1,13 @@
-"""Direct light at points: light points drawn by power and rays drawn by the cosine, joined by multiple importance sampling.
+"""Emission that reaches points straight: light points drawn by power and rays that meet it, joined by multiple importance sampling.
 
-Both kernels, `from_lights` and `from_hits`, also serve the path tracer. Vectors are component first, (3, n) float32.
+`from_lights` and `from_hits` serve every walk that gathers. Vectors are component first, (3, n) float32.
 Source: Veach 1997, chapter 9 (power heuristic).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,31 +19,65 @@ from ..scene.world import Surface, World
 from .emitters import Emitters
 
 INF = np.float32(np.inf)
+LEAST = np.float32(1e-12)  # density of rays that leave all emission to light points
 BATCH = 1 << 15
+
+# What `World.intersect` returns: triangle, u, v and distance of each ray.
+Hit = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+# Radiance (m, 3) of emitting triangles at (triangle, u, v), (m,) each, towards directions (m, 3).
+Emitted = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """How surfaces answer light from one direction each.
+
+    lit (n,) bool: where it counts at all. cosine (n,), or 1, and f (3, n), or None for 1: their product times radiance is what is found.
+    pdf_w (n,): the density by which rays that meet lights share them with light points.
+    """
+
+    lit: np.ndarray
+    pdf_w: np.ndarray
+    cosine: np.ndarray | np.float32
+    f: np.ndarray | None = None
+
+
+# The response of the points to directions (3, n).
+Respond = Callable[[np.ndarray], Response]
+
+
+def irradiance(ng: np.ndarray, ns: np.ndarray) -> Respond:
+    """The response by which light points find irradiance on surfaces with normals (3, n), of which rays are drawn by the cosine."""
+
+    def respond(wi: np.ndarray) -> Response:
+        cosine = dot(wi, ns)
+        lit = cosine > 0
+        if ns is not ng:
+            lit &= dot(wi, ng) > 0
+        return Response(lit, cosine / PI, cosine)
+
+    return respond
 
 
 def from_lights(
     world: World,
     emitters: Emitters,
     origin: np.ndarray,
-    ng: np.ndarray,
-    ns: np.ndarray,
     u: np.ndarray,
+    respond: Respond,
     mesh: bool = True,
     joined: bool = True,
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Irradiance estimates from one light point for each ray origin (3, n): rows (m,) that are lit, values (3, m), shadow rays cast.
+    """What surfaces make of one light point for each ray origin (3, n): rows (m,) that are lit, values (3, m), shadow rays cast.
 
     `joined`: weighted for being one of two techniques; otherwise light points stand alone.
     """
     s = emitters.draw(origin, u, mesh)
+    answer = respond(s.wi)
 
     # Only points that the light may reach cost a shadow ray.
-    cosine = dot(s.wi, ns)
-    lit = cosine > 0
-    if ns is not ng:
-        lit &= dot(s.wi, ng) > 0
-    if emitters.lamps.count:
+    lit = answer.lit
+    if emitters.lamps.count or answer.f is not None:
         lit &= s.radiance.max(axis=0) > 0
     rows = np.flatnonzero(lit)
     if not len(rows):
@@ -52,15 +87,18 @@ def from_lights(
     if emitters.lamps.count:
         hidden &= s.shadow.take(rows)
     free = np.flatnonzero(~hidden)
-    lit_rows, rows = len(rows), rows.take(free)
+    cast, rows = len(rows), rows.take(free)
 
-    # Radiance times cosine over density, weighted against the density of a ray drawn by the cosine.
-    cosine, pdf = cosine.take(rows), s.pdf_w.take(rows)
-    factor = cosine / pdf
+    # Radiance times response over density, weighted against the density of rays.
+    pdf = s.pdf_w.take(rows)
+    factor = (answer.cosine.take(rows) if np.ndim(answer.cosine) else answer.cosine) / pdf
     if joined:
-        weight = sampling.power_heuristic(pdf, cosine / PI)
+        weight = sampling.power_heuristic(pdf, answer.pdf_w.take(rows))
         factor *= weight if not emitters.lamps.count else np.where(s.shared.take(rows), weight, np.float32(1))
-    return rows, s.radiance.take(rows, axis=1) * factor, lit_rows
+    radiance = s.radiance.take(rows, axis=1)
+    if answer.f is not None:
+        radiance *= answer.f.take(rows, axis=1)
+    return rows, radiance * factor, cast
 
 
 def from_hits(
@@ -68,30 +106,41 @@ def from_hits(
     faces: Faces,
     origin: np.ndarray,
     w: np.ndarray,
-    hit: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    cosine: np.ndarray,
+    hit: Hit,
+    pdf: np.ndarray,
     mesh: bool = True,
+    emission: Emitted | None = None,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Emission met by rays along `w` (3, n) drawn by the cosine (n,): for each kind of emitter rows (m,) and weighted radiance (3, m).
+    """Emission met by rays along `w` (3, n): for each kind of emitter rows (m,) and weighted radiance (3, m).
 
-    `hit` is what `World.intersect` returned. The irradiance estimate is pi times the radiance.
+    `pdf` (n,): the density by which rays share emission with light points, as in `Response`: INF for those that take all of it, `LEAST`
+    for those that leave it. `hit` is what `World.intersect` returned. `emission` stands in for that of the materials.
     """
     triangle, u, v, t = hit
-    pdf = np.maximum(cosine / PI, np.float32(1e-12))
     if mesh and emitters.any_mesh:
         # A miss, -1, reads the last entry, which is kept for it and does not emit.
-        rows = np.flatnonzero(faces.emits.take(triangle, mode="wrap"))
+        rows = np.flatnonzero(faces.emits.take(triangle, mode="wrap") & (pdf > LEAST))
         if len(rows):
-            k = triangle.take(rows)
-            radiance = faces.emission_at(k, u.take(rows), v.take(rows))
-            other = emitters.pdf_met(k, w.take(rows, axis=1), t.take(rows))
-            radiance *= sampling.power_heuristic(pdf.take(rows), other)
+            k, wi = triangle.take(rows), w.take(rows, axis=1)
+            if emission is None:
+                radiance = faces.emission_at(k, u.take(rows), v.take(rows))
+            else:
+                radiance = columns(emission(k, u.take(rows), v.take(rows), -wi.T))
+            radiance *= sampling.power_heuristic(pdf.take(rows), emitters.pdf_met(k, wi, t.take(rows)))
             yield rows, radiance
     if emitters.any_background:
         rows = np.flatnonzero(triangle < 0)
-        yield rows, emitters.escaping(w.take(rows, axis=1).T, pdf.take(rows), mesh).T
+        yield rows, np.ascontiguousarray(emitters.escaping(w.take(rows, axis=1).T, pdf.take(rows), mesh).T)
+    distance = np.where(triangle < 0, INF, t) if len(emitters.sized) else t
     if len(emitters.shared):
-        yield np.arange(len(t)), emitters.lamps_met(origin, w, np.where(triangle < 0, INF, t), pdf, mesh)
+        rows = np.flatnonzero((pdf < INF) & (pdf > LEAST))
+        o, d = (origin, w) if len(rows) == len(t) else (origin.take(rows, axis=1), w.take(rows, axis=1))
+        yield rows, emitters.lamps_met(o, d, distance.take(rows), pdf.take(rows), mesh)
+    if len(emitters.sized):
+        # Lamps that light points cannot find for these rays, in full.
+        rows = np.flatnonzero(pdf == INF)
+        if len(rows):
+            yield rows, emitters.lamps_met(origin.take(rows, axis=1), w.take(rows, axis=1), distance.take(rows))
 
 
 def direct_irradiance(
@@ -117,7 +166,8 @@ def direct_irradiance(
         total = np.zeros((3, origin.shape[1]))
         for _ in range(samples):
             if drawn:
-                rows, value, cast = from_lights(world, emitters, origin, ng, ns, rng.random((3, len(total[0])), np.float32), mesh, met)
+                u = rng.random((3, len(total[0])), np.float32)
+                rows, value, cast = from_lights(world, emitters, origin, u, irradiance(ng, ns), mesh, met)
                 total[:, rows] += value
                 rays += cast
             if met:
@@ -126,7 +176,7 @@ def direct_irradiance(
                 hit = world.intersect(origin.T, w.T, RayKind.DIFFUSE)
                 rays += len(cosine)
                 above = np.where(dot(w, ng) > 0, PI, np.float32(0)) if ns is not ng else np.full(len(cosine), PI)
-                for rows, value in from_hits(emitters, faces, origin, w, hit, cosine, mesh):
+                for rows, value in from_hits(emitters, faces, origin, w, hit, np.maximum(cosine / PI, 2 * LEAST), mesh):
                     total[:, rows] += value * above[rows]
         out[part] = (total / samples).T
     return out, rays

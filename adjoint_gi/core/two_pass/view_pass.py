@@ -14,9 +14,11 @@ import numpy as np
 from ..bsdf import microfacet as mf
 from ..bsdf import table as bsdf
 from ..lights.direct import direct_irradiance
+from ..sampling.maps import columns
 from ..scene.world import Surface
 from ..walks.gathering import Estimate
-from ..walks.radiance import Gathered, Walk, departure, leaving, light_share, lobes_of, met, next_event, white
+from ..walks.paths import Gathered, Paths, Walk
+from ..walks.radiance import LobeVertices, lobes_of, paths_from, white
 from .known_light import KnownLight
 
 
@@ -36,65 +38,42 @@ class View:
 
     def gather(self, surface: Surface, lobes: bsdf.Lobes, rng: np.random.Generator) -> Gathered:
         """Radiance (n, 3) that the points send towards the `wo` of their `lobes`, own emission left out."""
-        walk, n = self.walk, len(surface.triangle)
-        direct, indirect = np.zeros((n, 3), np.float32), np.zeros((n, 3), np.float32)
-        weight, row = np.ones((n, 3), np.float32), np.arange(n)
-        hops, mirrored = np.full(n, self.hops), np.ones(n, bool)
-        rays = 0
-        for segments in range(walk.max_length):
-            # Light that reaches the surface straight has length `segments` + 1.
-            counts = walk.min_length <= segments + 1
-            out = direct if segments == 0 else indirect
-            # Step 1: what is known of the diffuse lobes, which are done with then.
-            known = (hops <= 0) & (lobes.diffuse.max(axis=1) > 0)
-            at = np.flatnonzero(known)
-            if len(at):
-                bright = weight[at] * below_coat(lobes, at)
-                first, rest, cast = self._known(surface.take(at), segments, mirrored[at], counts, rng)
-                out[row[at]] += bright * first
-                indirect[row[at]] += bright * rest
-                rays += cast
-                lobes = lobes.without_diffuse(known)
-            at = np.flatnonzero(~known & (lobes.diffuse.max(axis=1) > 0))
-            if self.unmet is not None and len(at):
-                indirect[row[at]] += weight[at] * below_coat(lobes, at) * self.unmet.at(surface.take(at), segments)[1]
-            # Step 2: points with nothing left have come to their end.
-            left = (lobes.diffuse.max(axis=1) > 0) | lobes.others()
-            if not left.all():
-                at = np.flatnonzero(left)
-                row, weight, hops, mirrored = row[at], weight[at], hops[at], mirrored[at]
-                surface, lobes = surface.take(at), lobes.take(at)
-            if not len(row):
+        paths = paths_from(self.walk, surface, lobes, rng)
+        n = len(paths.row)
+        paths.carried = {"hops": np.full(n, self.hops), "mirrored": np.ones(n, bool)}
+        while paths.alive:
+            # Step 1: what is known of the diffuse lobes, which are done with then; paths with nothing left have come to their end.
+            self._read(paths)
+            # Step 2: light points, and a ray by the lobes that are left.
+            paths.light_points()
+            if not paths.scatter():
                 break
-            # Step 3: light points.
-            if counts and walk.lights and walk.emitters.any_drawn():
-                at, value, cast = next_event(walk, surface, lobes, rng)
-                out[row[at]] += weight[at] * value
-                rays += cast
-            # Step 4: a ray by the lobes that are left, and the emission it meets.
-            scattered = bsdf.sample(lobes, rng)
-            go = leaving(surface, scattered)
-            if not len(go):
-                break
-            origin, wi = departure(walk, surface, scattered, go)
-            share, pdf, delta = light_share(lobes)[go], scattered.pdf_w[go], scattered.delta[go]
-            weight, row = weight[go] * scattered.weight[go], row[go]
-            hops, mirrored = hops[go] - ~delta, mirrored[go] & delta
-            triangle, u, v, t = walk.world.intersect(origin, wi, scattered.kind[go])
-            rays += len(go)
-            if counts:
-                out[row] += weight * met(walk, origin, wi, (triangle, u, v, t), pdf, delta, share)
-            # Step 5: the surface it meets.
-            keep = triangle >= 0
-            if segments + 1 >= walk.roulette:
-                p = np.clip(weight.max(axis=1), np.float32(0.05), np.float32(1))
-                keep &= rng.random(len(p), np.float32) < p
-                weight = weight / p[:, None]
-            at = np.flatnonzero(keep)
-            weight, row, hops, mirrored, wo = weight[at], row[at], hops[at], mirrored[at], -wi[at]
-            surface = walk.world.surface(triangle[at], u[at], v[at], wo)
-            lobes = walk.table.at(surface.triangle, surface.u, surface.v, surface.ns, surface.side, wo)
-        return Gathered(direct, indirect, rays)
+            delta = paths.ray.delta
+            paths.carried = {"hops": paths.carried["hops"] - ~delta, "mirrored": paths.carried["mirrored"] & delta}
+            # Step 3: the emission it meets, and the surface.
+            paths.emission_met()
+            paths.arrive()
+        return paths.gathered()
+
+    def _read(self, paths: Paths) -> None:
+        """Add what is known where the paths stand."""
+        surface, lobes, segments = paths.vertices.surface, paths.vertices.lobes, paths.length - 1
+        diffuse = lobes.diffuse.max(axis=1) > 0
+        known = (paths.carried["hops"] <= 0) & diffuse
+        at = np.flatnonzero(known)
+        if len(at):
+            bright = below_coat(lobes, at)
+            first, rest, cast = self._known(surface.take(at), segments, paths.carried["mirrored"][at], paths.counts, paths.rng)
+            paths.rays += cast
+            paths.collect(at, columns(bright * first))
+            paths.collect(at, columns(bright * rest), indirect=True)
+            lobes = lobes.without_diffuse(known)
+        at = np.flatnonzero(~known & diffuse)
+        if self.unmet is not None and len(at):
+            paths.collect(at, columns(below_coat(lobes, at) * self.unmet.at(surface.take(at), segments)[1]), indirect=True)
+        at = np.flatnonzero((lobes.diffuse.max(axis=1) > 0) | lobes.others())
+        paths.take(at)
+        paths.vertices = LobeVertices(self.walk, surface.take(at), lobes.take(at))
 
     def _known(
         self, surface: Surface, segments: int, mirrored: np.ndarray, counts: bool, rng: np.random.Generator
@@ -122,7 +101,6 @@ def estimator(view: View) -> Estimate:
     def estimate(surface: Surface, wo: np.ndarray | None, rng: np.random.Generator) -> Gathered:
         if wo is not None:
             return view.gather(surface, lobes_of(view.walk, surface, wo), rng)
-        found = view.gather(surface, white(view.walk, surface), rng)
-        return Gathered(np.float32(np.pi) * found.direct, np.float32(np.pi) * found.indirect, found.rays)
+        return view.gather(surface, white(view.walk, surface), rng).times(np.float32(np.pi))
 
     return estimate

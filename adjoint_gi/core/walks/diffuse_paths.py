@@ -6,19 +6,19 @@ by multiple importance sampling (`core.lights.direct`). Vectors are component fi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..lights import direct
-from ..lights.emitters import Emitters
+from ..lights.direct import LEAST, Hit
 from ..receivers.base import Receivers
 from ..sampling import maps as sampling
 from ..sampling import sobol as low_discrepancy
 from ..sampling.maps import PI, columns, dot
 from ..scene.arrays import RayKind
-from ..scene.faces import Faces
-from ..scene.world import World
+from .paths import Gathered, Paths, Ray, Walk
 
 ONE = np.float32(1)
 SITE, VERTEX = 2, 5  # low-discrepancy dimensions for the place on the receiver, and for each of the first vertices
@@ -26,13 +26,66 @@ STRATIFIED = 3  # vertices that get low-discrepancy numbers
 DIMENSIONS = SITE + VERTEX * STRATIFIED
 
 
-@dataclass(frozen=True)
-class Walk:
-    """How far paths go. Lengths as in `Settings`; from path length `roulette` on, paths end at random (0: never)."""
+class DiffuseVertices:
+    """Points with normals (3, n) on surfaces that are diffuse: where a scene has no other lobes, this is all there is to know.
 
-    min_length: int = 0
-    max_length: int = 64
-    roulette: int = 3
+    The reflectance of a vertex is in the weights of the paths that reach it, times pi over the radiance that it averages.
+    """
+
+    scale = ONE / PI
+
+    def __init__(self, walk: Walk, position: np.ndarray, ng: np.ndarray, ns: np.ndarray, u: np.ndarray, numbers: Numbers) -> None:
+        """`u` (VERTEX, n): the random numbers of these vertices; `numbers`: where those of later ones come from."""
+        self.walk, self.ng, self.ns, self.u, self.numbers = walk, ng, ns, u, numbers
+        self.origin = walk.world.lifted(position, ng)
+
+    def light_points(self, rng: np.random.Generator, uniform: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, int]:
+        """One light point for each: rows (m,) that are lit, irradiance (3, m), shadow rays cast."""
+        walk, respond = self.walk, direct.irradiance(self.ng, self.ns)
+        return direct.from_lights(walk.world, walk.emitters, self.origin, self.u[2:5], respond, joined=walk.emitters.any_met())
+
+    def scatter(self, rng: np.random.Generator, uniform: np.ndarray | None = None) -> Ray:
+        """A ray drawn by the cosine from each; those below the surface carry nothing."""
+        origin, (w, cosine), rows = self.origin, sampling.cosine_hemisphere(self.ns, self.u[0], self.u[1]), None
+        if self.ns is not self.ng:
+            rows = np.flatnonzero(dot(w, self.ng) > 0)
+            origin, w, cosine = origin.take(rows, axis=1), w.take(rows, axis=1), cosine.take(rows)
+        return Ray(rows, origin, w, RayKind.DIFFUSE, np.maximum(cosine / PI, 2 * LEAST))
+
+    def reflectance(self, hit: Hit, rows: np.ndarray) -> np.ndarray:
+        """(3, m) albedo where rays `rows` (m,) hit."""
+        return self.walk.faces.albedo_at(*(a.take(rows) for a in hit[:3]))
+
+    def arrive(self, ray: Ray, hit: Hit, rows: np.ndarray, path: np.ndarray, rng: np.random.Generator) -> DiffuseVertices:
+        """The vertices where rays `rows` (m,) of paths `path` (m,) hit."""
+        triangle, u, v, t = (a.take(rows) for a in hit)
+        w = ray.wi.take(rows, axis=1)
+        position = ray.origin.take(rows, axis=1)
+        position += w * t
+        later = self.numbers.next()
+        return DiffuseVertices(self.walk, position, *self.walk.faces.normals(triangle, u, v, w), later.at(path, rng), later)
+
+
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """Random numbers of vertex `k` of paths: low-discrepancy ones of `points` (VERTEX * STRATIFIED, paths) first, then others.
+
+    Of each vertex direction (2), light pick (1), point on the light (2).
+    """
+
+    points: np.ndarray
+    k: int = 0
+
+    def at(self, path: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """(VERTEX, n) float32 for paths `path` (n,)."""
+        if self.k >= STRATIFIED:
+            return rng.random((VERTEX, len(path)), np.float32)
+        u = self.points[VERTEX * self.k : VERTEX * (self.k + 1)]
+        return u if len(path) == u.shape[1] else u.take(path, axis=1)
+
+    def next(self) -> Numbers:
+        """Those of the next vertex."""
+        return Numbers(self.points, self.k + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,15 +106,10 @@ class PathBatch:
 class PathTracer:
     """Traces batches of paths in a world; safe to use from several threads at once."""
 
-    def __init__(self, world: World, receivers: Receivers, walk: Walk, seed: tuple[int, ...]) -> None:
-        """`seed`: whole numbers from which the numbers of every batch follow."""
-        self.world = world
-        self.receivers = receivers
-        self.walk = walk
-        self.seed = seed
-        self.emitters = Emitters(world)
-        self.faces = Faces(world)
-        self.drawn, self.met = self.emitters.any_drawn(), self.emitters.any_met()
+    def __init__(self, walk: Walk, receivers: Receivers, trace: Callable[[Paths], Gathered], seed: tuple[int, ...]) -> None:
+        """`trace` takes the steps of paths. `seed`: whole numbers from which the numbers of every batch follow."""
+        self.walk, self.receivers, self.trace, self.seed = walk, receivers, trace, seed
+        self.emitters, self.faces = walk.emitters, walk.faces
 
     def batch(self, first: int, last: int, samples: int, index: int) -> PathBatch:
         """Samples `index` to `index + samples` of receivers `first` to `last`; the same arguments give the same bits."""
@@ -92,9 +140,11 @@ class PathTracer:
         else:
             throughput = np.full(position.shape, PI)
             scale = ONE / PI
-        rays = points.rays
-        if self.walk.max_length > 0 and len(triangle):
-            rays += self._follow(np.arange(len(ids))[rows], position, ng, ns, throughput, scale, numbers[SITE:], lit, rng)
+        later = Numbers(numbers[SITE:, rows])
+        vertices = DiffuseVertices(self.walk, position, ng, ns, later.at(triangle, rng), later)
+        found = self.trace(Paths(self.walk, vertices, throughput, rng, unit=scale))
+        lit[0][:, rows], lit[1][:, rows] = found.direct.T, found.indirect.T
+        rays = points.rays + found.rays
 
         # Step 2: sum over the samples of each receiver; nothing that is not a number may get out.
         spoiled = 0
@@ -116,98 +166,3 @@ class PathTracer:
         lamps = self.emitters.lamps_met(columns(points.origin), -columns(points.towards), distance)
         if lamps is not None:
             emitted += lamps
-
-    def _follow(
-        self,
-        path: np.ndarray,
-        position: np.ndarray,
-        ng: np.ndarray,
-        ns: np.ndarray,
-        throughput: np.ndarray,
-        scale: np.float32,
-        numbers: np.ndarray,
-        lit: np.ndarray,
-        rng: np.random.Generator,
-    ) -> int:
-        """Walk on from the first vertices of paths `path` (n,) and add what they gather to `lit`; returns the rays cast.
-
-        `throughput` (3, n): factor from radiance arriving at the vertex, averaged over the cosine, to the estimate.
-        """
-        rays, walk = 0, self.walk
-        for k in range(walk.max_length):
-            length = k + 1
-            n = len(path)
-            counts, last = length >= walk.min_length, length == walk.max_length
-            origin = self.world.lifted(position, ng)
-            u = self._numbers(numbers, path, k, n, rng)
-            target = lit[0 if length == 1 else 1]
-
-            # Step A: a light point, whose path has length k + 1.
-            if counts and self.drawn:
-                rows, value, cast = direct.from_lights(self.world, self.emitters, origin, ng, ns, u[2:5], joined=self.met)
-                rays += cast
-                value *= throughput.take(rows, axis=1)
-                value *= ONE / PI
-                _add(target, path.take(rows), value)
-            if last and not (counts and self.met):
-                break
-
-            # Step B: a ray drawn by the cosine; Eq. 12 adds the emission where it arrives, at the same path length.
-            w, cosine = sampling.cosine_hemisphere(ns, u[0], u[1])
-            hit = self.world.intersect(origin.T, w.T, RayKind.DIFFUSE)
-            triangle, hu, hv, t = hit
-            rays += n
-            above = None
-            if ns is not ng:
-                above = dot(w, ng) > 0
-                throughput = throughput * above
-            if counts:
-                for rows, value in direct.from_hits(self.emitters, self.faces, origin, w, hit, cosine):
-                    value *= throughput.take(rows, axis=1)
-                    _add(target, path.take(rows), value)
-            if last:
-                break
-
-            # Step C: the reflectance there, and survival by roulette: dividing by its probability keeps the estimate unbiased.
-            alive = triangle >= 0
-            if above is not None:
-                alive &= above
-            keep = np.flatnonzero(alive)
-            triangle, hu, hv, t = triangle.take(keep), hu.take(keep), hv.take(keep), t.take(keep)
-            throughput = throughput.take(keep, axis=1) * self.faces.albedo_at(triangle, hu, hv)
-            strength = throughput.max(axis=0) * scale
-            if walk.roulette and length >= walk.roulette:
-                chance = np.minimum(np.sqrt(strength), ONE)
-                survive = np.flatnonzero(rng.random(len(keep), np.float32) < chance)
-                throughput = throughput.take(survive, axis=1) / chance.take(survive)
-            else:
-                survive = np.flatnonzero(strength > 0)
-                throughput = throughput.take(survive, axis=1)
-            if not len(survive):
-                break
-            keep, triangle, hu, hv, t = keep.take(survive), triangle.take(survive), hu.take(survive), hv.take(survive), t.take(survive)
-
-            # Step D: the next vertex.
-            path = path.take(keep)
-            w = w.take(keep, axis=1)
-            position = origin.take(keep, axis=1)
-            position += w * t
-            ng, ns = self.faces.normals(triangle, hu, hv, w)
-        return rays
-
-    def _numbers(self, numbers: np.ndarray, path: np.ndarray, k: int, n: int, rng: np.random.Generator) -> np.ndarray:
-        """(5, n) float32 for vertex k: direction (2), light pick (1), point on the light (2)."""
-        if k >= STRATIFIED:
-            return rng.random((VERTEX, n), np.float32)
-        u = numbers[VERTEX * k : VERTEX * (k + 1)]
-        return u if n == u.shape[1] else u.take(path, axis=1)
-
-
-def _add(target: np.ndarray, rows: np.ndarray, value: np.ndarray) -> None:
-    """Add `value` (3, m) to columns `rows` of `target` (3, n); no row comes twice."""
-    if len(rows) == target.shape[1]:
-        target += value
-        return
-    for c in range(3):
-        channel = target[c]
-        channel[rows] += value[c]

@@ -23,7 +23,7 @@ from ..method.solution import EnergyBalance, Solution, Step
 from ..receivers.base import Points, Receivers
 from ..receivers.film import Film, read_surfaces
 from ..scene.world import Surface, World
-from .radiance import Gathered
+from .paths import Gathered
 
 BATCH = 1 << 14
 

@@ -1,0 +1,259 @@
+"""The walk that gathers (review, Eq. 12): many paths side by side, from receivers to emitters, compacted as they end.
+
+A path adds up emission: of a light point at each vertex, and of what the rays between vertices meet; the two are joined by multiple
+importance sampling (Veach 1997, chapter 9). What a vertex does is a strategy: `radiance.LobeVertices` know any BSDF,
+`diffuse_paths.DiffuseVertices` only diffuse surfaces, at less cost. Methods take the steps of `Paths` in the order they want.
+
+Vectors are component first, (3, n) float32.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from ..bsdf import table as bsdf
+from ..lights import direct
+from ..lights.direct import Emitted, Hit
+from ..lights.emitters import Emitters
+from ..sampling.maps import ONE
+from ..scene.faces import Faces
+from ..scene.world import World
+
+NEVER = 1 << 30  # path length from which roulette ends paths, where it shall not
+
+
+def by_weight(strength: np.ndarray) -> np.ndarray:
+    """(n,) chance to go on with which every survivor carries as much; at least 5 %, so that no path becomes very strong."""
+    return np.clip(strength, np.float32(0.05), ONE)
+
+
+def by_root(strength: np.ndarray) -> np.ndarray:
+    """(n,) chance to go on that lets weak paths live longer: less noise for cheap vertices."""
+    return np.minimum(np.sqrt(strength), ONE)
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """What a walk needs besides its start.
+
+    min_length, max_length: path lengths that count. roulette: segments after which paths end at random, with the chance `survival`.
+    lights, lobes: use light points; use what BSDF rays meet. With both, each is weighted; with one, it stands alone.
+    uniform: draw directions evenly over the sphere instead of by the BSDF (mirrors still by theirs): what importance sampling saves.
+    emission: emitted radiance of triangles, for emission that is not the same in all directions, as in a Kirchhoff cavity; light points
+    know nothing of it, so `lights` must be off.
+    """
+
+    world: World
+    emitters: Emitters
+    table: bsdf.BsdfTable
+    min_length: int = 0
+    max_length: int = 64
+    roulette: int = 3
+    lights: bool = True
+    lobes: bool = True
+    uniform: bool = False
+    emission: Emitted | None = None
+    survival: Callable[[np.ndarray], np.ndarray] = by_weight
+
+    @cached_property
+    def faces(self) -> Faces:
+        """Tables of the triangles."""
+        return Faces(self.world)
+
+    @cached_property
+    def draws(self) -> bool:
+        """Whether there is anything to draw light points from."""
+        return self.lights and self.emitters.any_drawn()
+
+    @cached_property
+    def meets(self) -> bool:
+        """Whether a ray can meet emission."""
+        e = self.emitters
+        return e.any_background or e.any_mesh or len(e.sized if self.table.count or not self.lights else e.shared) > 0
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """Radiance towards `wo`, (n, 3) float32: `direct` of path length 1, `indirect` of more; rays cast."""
+
+    direct: np.ndarray
+    indirect: np.ndarray
+    rays: int
+
+    def times(self, factor: np.float32) -> Gathered:
+        """The same light times `factor`."""
+        return Gathered(self.direct * factor, self.indirect * factor, self.rays)
+
+    def plus(self, other: Gathered) -> Gathered:
+        """Both together, at the same points."""
+        return Gathered(self.direct + other.direct, self.indirect + other.indirect, self.rays + other.rays)
+
+
+@dataclass(frozen=True, eq=False)
+class Ray:
+    """Rays that leave vertices, one each at most.
+
+    rows (n,): the vertices they leave, None for all. origin, wi (3, n); kind: `RayKind`, one for all or (n,)
+    pdf (n,): the density by which they share emission with light points, INF where light points cannot find it
+    weight (3, n): f |cos| over the density of wi; None where the next vertex has the reflectance
+    delta (n,) bool: by a perfectly smooth lobe; None for none
+    """
+
+    rows: np.ndarray | None
+    origin: np.ndarray
+    wi: np.ndarray
+    kind: np.ndarray | np.uint8
+    pdf: np.ndarray
+    weight: np.ndarray | None = None
+    delta: np.ndarray | None = None
+
+
+class Vertices(Protocol):
+    """Where paths stand. `scale`: what a light point's value is multiplied by besides the weight of the path, or None."""
+
+    scale: np.float32 | None
+
+    def light_points(self, rng: np.random.Generator, uniform: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, int]:
+        """One light point for each: rows (m,) that are lit, reflected light (3, m), shadow rays cast."""
+
+    def scatter(self, rng: np.random.Generator, uniform: np.ndarray | None = None) -> Ray:
+        """A ray from each that goes on."""
+
+    def reflectance(self, hit: Hit, rows: np.ndarray) -> np.ndarray | None:
+        """(3, m) reflectance where rays `rows` (m,) hit; None where the weights of rays have it."""
+
+    def arrive(self, ray: Ray, hit: Hit, rows: np.ndarray, path: np.ndarray, rng: np.random.Generator) -> Vertices:
+        """The vertices where rays `rows` (m,) of the paths `path` (m,) hit."""
+
+
+class Paths:
+    """Paths on their way. The steps are taken in the order of their definition, vertex by vertex.
+
+    row (n,): which start each path belongs to. weight (3, n): factor from radiance at the vertices, or along the rays, to the estimate.
+    length: of paths to a light seen directly from the vertices. carried: more about each path, by name, (n,).
+    direct, indirect (3, starts): what was gathered. rays: cast.
+    """
+
+    def __init__(
+        self, walk: Walk, vertices: Vertices, weight: np.ndarray, rng: np.random.Generator, length: int = 1, unit: np.float32 = ONE
+    ) -> None:
+        """`unit`: 1 over the weight of a path that is as strong as when it started, for roulette."""
+        self.walk, self.vertices, self.weight, self.rng, self.length, self.unit = walk, vertices, weight, rng, length, unit
+        starts = weight.shape[1]
+        self.row = np.arange(starts)
+        self.direct, self.indirect = np.zeros((2, 3, starts), np.float32)
+        self.carried: dict[str, np.ndarray] = {}
+        self.rays = 0
+        self.ray: Ray | None = None
+        self.hit: Hit | None = None
+
+    @property
+    def alive(self) -> bool:
+        """Whether any path goes on."""
+        return len(self.row) > 0 and self.length <= self.walk.max_length
+
+    @property
+    def counts(self) -> bool:
+        """Whether light that arrives straight counts."""
+        return self.length >= self.walk.min_length
+
+    def light_points(self, uniform: np.ndarray | None = None) -> None:
+        """Add the emission of one light point for each vertex."""
+        if self.counts and self.walk.draws:
+            rows, value, cast = self.vertices.light_points(self.rng, uniform)
+            self.rays += cast
+            self.collect(rows, value, self.vertices.scale)
+
+    def scatter(self, uniform: np.ndarray | None = None) -> bool:
+        """Draw a direction at each vertex and trace the rays. False at the end: where no path goes on, or none could meet anything."""
+        self.ray = ray = self.vertices.scatter(self.rng, uniform)
+        if ray.rows is not None:
+            self.take(ray.rows)
+        if ray.weight is not None:
+            self.weight = self.weight * ray.weight
+        last = self.length == self.walk.max_length
+        if not len(self.row) or (last and not (self.counts and self.walk.meets)):
+            return False
+        self.hit = self.walk.world.intersect(ray.origin.T, ray.wi.T, ray.kind)
+        self.rays += len(self.row)
+        return True
+
+    def emission_met(self) -> None:
+        """Add the emission that the rays meet."""
+        if self.counts:
+            walk, ray = self.walk, self.ray
+            for rows, value in direct.from_hits(walk.emitters, walk.faces, ray.origin, ray.wi, self.hit, ray.pdf, emission=walk.emission):
+                self.collect(rows, value)
+
+    def arrive(self) -> None:
+        """Go on from the surfaces that were hit, as far as roulette lets paths: dividing by its chance keeps the estimate unbiased."""
+        walk, hit = self.walk, self.hit
+        rows = np.flatnonzero(hit[0] >= 0)
+        luck = self.rng.random(len(rows), np.float32) if self.length >= walk.roulette else None
+        if self.length == walk.max_length:
+            self.take(rows[:0])
+            return
+        weight = self.weight.take(rows, axis=1)
+        reflectance = self.vertices.reflectance(hit, rows)
+        if reflectance is not None:
+            weight = weight * reflectance
+        strength = weight.max(axis=0) * self.unit
+        if luck is None:
+            survive = np.flatnonzero(strength > 0)
+            weight = weight.take(survive, axis=1)
+        else:
+            chance = walk.survival(strength)
+            survive = np.flatnonzero(luck < chance)
+            weight = weight.take(survive, axis=1) / chance.take(survive)
+        rows = rows.take(survive)
+        self.take(rows)
+        self.weight = weight
+        self.vertices = self.vertices.arrive(self.ray, hit, rows, self.row, self.rng)
+        self.length += 1
+
+    def take(self, rows: np.ndarray) -> None:
+        """Keep only some paths; vertices and rays are left to the caller."""
+        self.row, self.weight = self.row.take(rows), self.weight.take(rows, axis=1)
+        self.carried = {name: values[rows] for name, values in self.carried.items()}
+
+    def collect(self, rows: np.ndarray, value: np.ndarray, scale: np.float32 | None = None, indirect: bool = False) -> None:
+        """Add radiance `value` (3, m), used up, that paths `rows` (m,) found at the length where they are, or that is `indirect`."""
+        value *= self.weight.take(rows, axis=1)
+        if scale is not None:
+            value *= scale
+        add(self.indirect if indirect or self.length > 1 else self.direct, self.row.take(rows), value)
+
+    def collect_from(self, found: Gathered) -> None:
+        """Add what other walks from the vertices of these paths have found there."""
+        self.collect(np.arange(len(self.row)), found.indirect.T.copy())
+        self.rays += found.rays
+
+    def gathered(self) -> Gathered:
+        """What was found, in rows."""
+        return Gathered(self.direct.T, self.indirect.T, self.rays)
+
+
+def add(target: np.ndarray, rows: np.ndarray, value: np.ndarray) -> None:
+    """Add `value` (3, m) to columns `rows` of `target` (3, n); no row comes twice."""
+    if len(rows) == target.shape[1]:
+        target += value
+        return
+    for c in range(3):
+        channel = target[c]
+        channel[rows] += value[c]
+
+
+def follow(paths: Paths) -> Gathered:
+    """Take all steps to the end of all paths: path tracing (Eq. 12) as a part of other methods."""
+    while paths.alive:
+        paths.light_points()
+        if not paths.scatter():
+            break
+        paths.emission_met()
+        paths.arrive()
+    return paths.gathered()
