@@ -35,7 +35,7 @@ from ..adjoint_gi.core.sampling.sets import KINDS, Sampler
 from ..adjoint_gi.core.scene.world import Surface, World
 from ..adjoint_gi.core.walks.gathering import BATCH, Estimate, Run
 from ..adjoint_gi.core.walks.paths import NEVER, Gathered, Paths, Walk, follow
-from ..adjoint_gi.core.walks.radiance import LobeVertices, lobes_of, white
+from ..adjoint_gi.core.walks.radiance import LobeVertices, start
 
 PLACE, LENS, FIRST = 0, 1, 2  # streams of the sampler; from FIRST on two for every surface on the way
 
@@ -154,9 +154,8 @@ class Tracer:
             if s.max_length < 1:
                 nothing = np.zeros((len(surface.triangle), 3), np.float32)
                 return Gathered(nothing, nothing, 0)
-            lobes = white(self.walk, surface) if wo is None else lobes_of(self.walk, surface, wo)
-            found = self.trace(LobeVertices(self.walk, surface, lobes), on, 1, rng)
-            return found.times(np.float32(np.pi if wo is None else 1))
+            vertices, factor = start(self.walk, surface, wo)
+            return self.trace(vertices, on, 1, rng).times(factor)
 
         return points, estimate
 
@@ -165,19 +164,19 @@ class Tracer:
 
         Beyond the surfaces that split, n = m = 1.
         """
-        s, one = self.settings, np.ones((3, len(rows.number)), np.float32)
+        s = self.settings
         if length > s.split_depth:
-            return follow(Paths(self.walk, vertices, one, rng, length))
+            return follow(Paths(self.walk, vertices, rng, length))
         stream = FIRST + 2 * (length - 1)
         # (i) The source term: 1/n sum fr Le cos theta / p_light, over rays distributed over the emission of the lights.
-        lights = Paths(self.walk, vertices, one / np.float32(s.light_samples), rng, length)
+        lights = Paths(self.walk, vertices, rng, length, np.float32(1 / s.light_samples))
         for j in range(s.light_samples):
             lights.light_points(self._draw(stream, rows.split(s.light_samples, j), 3, rng))
         total = lights.gathered()
         # (ii) The interreflection term: 1/m sum fr Lr cos theta / p_brdf, over rays distributed by the BRDF.
         for j in range(s.brdf_samples):
             mine = rows.split(s.brdf_samples, j)
-            paths = Paths(self.walk, vertices, one / np.float32(s.brdf_samples), rng, length)
+            paths = Paths(self.walk, vertices, rng, length, np.float32(1 / s.brdf_samples))
             if paths.scatter(self._draw(stream + 1, mine, 4, rng)):
                 paths.emission_met()
                 paths.arrive()

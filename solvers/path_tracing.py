@@ -18,14 +18,13 @@ J. T. Kajiya, "The Rendering Equation", SIGGRAPH 1986, 143-150.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..adjoint_gi.core.base import settings as base
 from ..adjoint_gi.core.base.errors import Notice
-from ..adjoint_gi.core.base.parallel import in_order, thread_count
+from ..adjoint_gi.core.base.parallel import thread_count
 from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES
 from ..adjoint_gi.core.bsdf.table import BsdfTable
@@ -34,15 +33,11 @@ from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.registry import GATHERING, NONDETERMINISTIC, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Receivers
-from ..adjoint_gi.core.receivers.film import read_surfaces
 from ..adjoint_gi.core.scene.world import Surface, World
 from ..adjoint_gi.core.walks.diffuse_paths import DIMENSIONS, PathTracer
-from ..adjoint_gi.core.walks.gathering import Run
+from ..adjoint_gi.core.walks.gathering import BATCH, Run, batches
 from ..adjoint_gi.core.walks.paths import NEVER, Gathered, Paths, Walk, by_root, by_weight
-from ..adjoint_gi.core.walks.radiance import lobes_of, paths_from, white
-
-BATCH = 1 << 14  # paths in a batch
-MOST_SAMPLES = 16  # of one receiver in a batch
+from ..adjoint_gi.core.walks.radiance import start
 
 
 @dataclass(frozen=True)
@@ -106,9 +101,15 @@ class PathTracing(Solver):
         walk = walk_of(world, emitters, settings)
         run = Run(self.spec, world, receivers, settings, emitters, notices(emitters, settings))
         if walk.table.only_diffuse and settings.plain:
-            yield from diffuse_steps(run, walk, settings, rng)
+            tracer = PathTracer(walk, receivers, trace, tuple(int(x) for x in rng.integers(0, 2**32, 4)))
+            yield from run.passes(tracer.batch, settings.samples, batches(receivers.count, settings.samples, even=True))
         else:
-            yield from run.steps(lambda *at: estimate(walk, *at), settings.samples, rng)
+
+            def estimate(surface: Surface, wo: np.ndarray | None, rng: np.random.Generator) -> Gathered:
+                vertices, factor = start(walk, surface, wo)
+                return trace(Paths(walk, vertices, rng)).times(factor)
+
+            yield from run.steps(estimate, settings.samples, rng)
 
 
 def trace(paths: Paths) -> Gathered:
@@ -146,53 +147,6 @@ def walk_of(world: World, emitters: Emitters, settings: PathSettings) -> Walk:
     )
 
 
-def estimate(walk: Walk, surface: Surface, wo: np.ndarray | None, rng: np.random.Generator) -> Gathered:
-    """One path from each surface point: radiance towards `wo`, or irradiance where it is None."""
-    if wo is not None:
-        return trace(paths_from(walk, surface, lobes_of(walk, surface, wo), rng))
-    return trace(paths_from(walk, surface, white(walk, surface), rng)).times(np.float32(np.pi))
-
-
-def diffuse_steps(run: Run, walk: Walk, settings: PathSettings, rng: np.random.Generator) -> Iterator[Step]:
-    """The fast kernel for diffuse surfaces, with all variance reduction."""
-    world, receivers, film, clock = run.world, run.receivers, run.film, run.clock
-    tracer = PathTracer(walk, receivers, trace, tuple(int(x) for x in rng.integers(0, 2**32, 4)))
-
-    # Step 1: passes over all receivers, in batches that run in any order of time but are added up in their own. What the receivers
-    # are made of is read in between, so that light shows at once; camera samples find that out by themselves.
-    reading = read_surfaces(world, receivers, run.surfaces)
-    total = receivers.count * settings.samples
-    paths = spoiled = 0
-    warnings = run.warnings
-    with closing(in_order(lambda item: tracer.batch(*item), batches(receivers.count, settings.samples))) as results:
-        for batch in results:
-            part = slice(batch.first, batch.last)
-            film.add(part, batch.samples, batch.direct, batch.indirect)
-            if batch.emitted is not None:
-                film.emitted[part] += batch.emitted
-                film.albedo[part] += batch.albedo
-            run.rays += batch.rays
-            if batch.spoiled:
-                spoiled += batch.spoiled
-                text = f"{spoiled} samples were not numbers and count as 0"
-                run.warnings = (*warnings, Notice("", text, "Look for extreme values in lights and materials"))
-            paths += batch.samples * (batch.last - batch.first)
-            if receivers.measure == "irradiance":
-                next(reading, None)
-            if batch.last == receivers.count:
-                run.measure()
-            if clock.due() and paths < total:
-                text = f"{paths / receivers.count:.0f} of {settings.samples} samples"
-                yield from clock.pause(Step(paths / total, text, run.solution))
-
-    # Step 2: the rest of it, and for a camera the passes that only a finished picture gets.
-    for done in reading:
-        if clock.due():
-            yield from clock.pause(Step(1.0, f"Reading surfaces, {done:.0%}", run.solution))
-    run.partial = False
-    yield from clock.last(Step(1.0, f"{settings.samples} samples", run.solution))
-
-
 def notices(emitters: Emitters, settings: PathSettings) -> tuple[Notice, ...]:
     """Lamps that no path can meet, where light points are off."""
     if settings.light_importance:
@@ -203,21 +157,3 @@ def notices(emitters: Emitters, settings: PathSettings) -> tuple[Notice, ...]:
         if power and not sized
     ]
     return tuple(Notice(n, "has no size, so no path meets it", "Turn on Importance over Lights, or give it a size") for n in names)
-
-
-def batches(count: int, samples: int) -> Iterator[tuple[int, int, int, int]]:
-    """(first receiver, last, samples, index of the first sample) of every batch, pass by pass; independent of the machine.
-
-    Few receivers start with several samples at once, many with one, so that the first pass is quick and full.
-    """
-    size = 1
-    while size < MOST_SAMPLES and count * size * 2 <= BATCH:
-        size *= 2
-    index = 0
-    while index < samples:
-        # Sample counts stay at powers of two until the limit, where Sobol points are most even.
-        now = min(size if index == 0 else min(index, MOST_SAMPLES), samples - index)
-        block = max(1, BATCH // now)
-        for first in range(0, count, block):
-            yield first, min(first + block, count), now, index
-        index += now

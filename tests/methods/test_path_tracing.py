@@ -360,11 +360,14 @@ def test_same_seed_same_bits_on_one_and_two_threads(monkeypatch):
         assert bits(solve(world, receivers, samples=9, seed=2)) != runs[0]
 
 
-def test_batches_cover_every_sample_once():
-    for count, samples in ((1, 1), (1, 100), (4096, 37), (40_000, 5), (7, 16)):
+@pytest.mark.parametrize("even", [False, True])
+def test_batches_cover_every_sample_once(even):
+    for count, samples in ((1, 1), (1, 100), (1500, 37), (40_000, 5), (7, 16)):
         done = np.zeros((count, samples), int)
-        for first, last, now, index in module.batches(count, samples):
+        for first, last, now, index in module.batches(count, samples, even=even):
             assert 0 < (last - first) * now <= module.BATCH
+            # From a power of two to the next, as far as there are so many samples.
+            assert not even or index + now == samples or index + now in (1, 2, 4, 8) or (index + now) % 16 == 0
             done[first:last, index : index + now] += 1
         assert (done == 1).all()
 

@@ -18,7 +18,7 @@ from ..sampling.maps import columns
 from ..scene.world import Surface
 from ..walks.gathering import Estimate
 from ..walks.paths import Gathered, Paths, Walk
-from ..walks.radiance import LobeVertices, lobes_of, paths_from, white
+from ..walks.radiance import LobeVertices, start
 from .known_light import KnownLight
 
 
@@ -36,10 +36,9 @@ class View:
     sharp: bool
     unmet: KnownLight | None = None
 
-    def gather(self, surface: Surface, lobes: bsdf.Lobes, rng: np.random.Generator) -> Gathered:
-        """Radiance (n, 3) that the points send towards the `wo` of their `lobes`, own emission left out."""
-        paths = paths_from(self.walk, surface, lobes, rng)
-        n = len(paths.row)
+    def gather(self, vertices: LobeVertices, rng: np.random.Generator) -> Gathered:
+        """Radiance (n, 3) that the vertices send towards the `wo` of their lobes, own emission left out."""
+        paths, n = Paths(self.walk, vertices, rng), vertices.count
         paths.carried = {"hops": np.full(n, self.hops), "mirrored": np.ones(n, bool)}
         while paths.alive:
             # Step 1: what is known of the diffuse lobes, which are done with then; paths with nothing left have come to their end.
@@ -99,8 +98,7 @@ def estimator(view: View) -> Estimate:
     """An `Estimate` for `gathering.Run` of what a view pass finds."""
 
     def estimate(surface: Surface, wo: np.ndarray | None, rng: np.random.Generator) -> Gathered:
-        if wo is not None:
-            return view.gather(surface, lobes_of(view.walk, surface, wo), rng)
-        return view.gather(surface, white(view.walk, surface), rng).times(np.float32(np.pi))
+        vertices, factor = start(view.walk, surface, wo)
+        return view.gather(vertices, rng).times(factor)
 
     return estimate

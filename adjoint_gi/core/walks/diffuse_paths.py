@@ -18,6 +18,7 @@ from ..sampling import maps as sampling
 from ..sampling import sobol as low_discrepancy
 from ..sampling.maps import PI, columns, dot
 from ..scene.arrays import RayKind
+from .gathering import Sums
 from .paths import Gathered, Paths, Ray, Walk
 
 ONE = np.float32(1)
@@ -37,6 +38,7 @@ class DiffuseVertices:
     def __init__(self, walk: Walk, position: np.ndarray, ng: np.ndarray, ns: np.ndarray, u: np.ndarray, numbers: Numbers) -> None:
         """`u` (VERTEX, n): the random numbers of these vertices; `numbers`: where those of later ones come from."""
         self.walk, self.ng, self.ns, self.u, self.numbers = walk, ng, ns, u, numbers
+        self.count = position.shape[1]
         self.origin = walk.world.lifted(position, ng)
 
     def light_points(self, rng: np.random.Generator, uniform: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, int]:
@@ -88,21 +90,6 @@ class Numbers:
         return Numbers(self.points, self.k + 1)
 
 
-@dataclass(frozen=True, eq=False)
-class PathBatch:
-    """Sums over the samples of receivers `first` to `last`, each (m, 3) float32; emitted and albedo only of camera receivers."""
-
-    first: int
-    last: int
-    samples: int
-    direct: np.ndarray
-    indirect: np.ndarray
-    emitted: np.ndarray | None
-    albedo: np.ndarray | None
-    rays: int
-    spoiled: int  # samples that were not numbers and count as 0
-
-
 class PathTracer:
     """Traces batches of paths in a world; safe to use from several threads at once."""
 
@@ -111,8 +98,9 @@ class PathTracer:
         self.walk, self.receivers, self.trace, self.seed = walk, receivers, trace, seed
         self.emitters, self.faces = walk.emitters, walk.faces
 
-    def batch(self, first: int, last: int, samples: int, index: int) -> PathBatch:
-        """Samples `index` to `index + samples` of receivers `first` to `last`; the same arguments give the same bits."""
+    def batch(self, item: tuple[int, int, int, int]) -> Sums:
+        """Samples of `item` (first receiver, last, samples, index of the first sample); the same item gives the same bits."""
+        first, last, samples, index = item
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=(first, index))))
         receiver = np.arange(first, last)
         numbers = low_discrepancy.shifted(receiver, index, samples, DIMENSIONS, self.seed[0])
@@ -142,7 +130,7 @@ class PathTracer:
             scale = ONE / PI
         later = Numbers(numbers[SITE:, rows])
         vertices = DiffuseVertices(self.walk, position, ng, ns, later.at(triangle, rng), later)
-        found = self.trace(Paths(self.walk, vertices, throughput, rng, unit=scale))
+        found = self.trace(Paths(self.walk, vertices, rng, weight=throughput, unit=scale))
         lit[0][:, rows], lit[1][:, rows] = found.direct.T, found.indirect.T
         rays = points.rays + found.rays
 
@@ -153,7 +141,7 @@ class PathTracer:
             spoiled = int(bad.sum())
             lit[:, :, bad] = 0
         parts = [a if a is None else a.reshape(3, -1, samples).sum(axis=2).T for a in (lit[0], lit[1], emitted, albedo)]
-        return PathBatch(first, last, samples, *parts, rays, spoiled)
+        return Sums(first, last, samples, *parts, rays, spoiled)
 
     def _see(
         self, points: object, rows: np.ndarray | slice, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, emitted: np.ndarray

@@ -25,11 +25,34 @@ from ..receivers.film import Film, read_surfaces
 from ..scene.world import Surface, World
 from .paths import Gathered
 
-BATCH = 1 << 14
+BATCH = 1 << 14  # samples in a batch
+MOST_SAMPLES = 16  # of one receiver in a batch
 
 Estimate = Callable[[Surface, np.ndarray | None, np.random.Generator], Gathered]
 # Draws the points of samples (receiver (n,), number of the sample (n,)) and gives the estimate of just these points.
 Place = Callable[[np.ndarray, np.ndarray, np.random.Generator], tuple[Points, Estimate]]
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """Sums over the samples of receivers `first` to `last`, each (m, 3); emitted and albedo only of camera receivers.
+
+    samples: of each receiver, one number or (m,). spoiled: how many were not numbers and count as 0.
+    """
+
+    first: int
+    last: int
+    samples: int | np.ndarray
+    direct: np.ndarray
+    indirect: np.ndarray
+    emitted: np.ndarray | None
+    albedo: np.ndarray | None
+    rays: int
+    spoiled: int = 0
+
+
+# Makes the sums of (first receiver, last, samples, index of the first sample).
+Work = Callable[[tuple[int, int, int, int]], Sums]
 
 
 @dataclass
@@ -51,6 +74,7 @@ class Run:
         self.film = Film(self.receivers)
         self.surfaces: dict[str, np.ndarray] = {}
         self.history: list[tuple[float, float]] = []
+        self._spoiled = 0
         self.extra: dict[str, np.ndarray] = {}
         self.warnings = self.world.scene.warnings + self.world.shading.substitutions(self.spec.lobes) + self.warnings
 
@@ -68,7 +92,7 @@ class Run:
         """
         seed = rng.integers(0, 1 << 63, 4).tolist()
 
-        def work(item: tuple[int, int, int, int]) -> tuple[tuple, tuple]:
+        def work(item: tuple[int, int, int, int]) -> Sums:
             first, last, many, index = item
             generator = np.random.Generator(np.random.SFC64([*seed, first, index]))
             owner = np.repeat(np.arange(first, last), many)
@@ -76,19 +100,28 @@ class Run:
                 points, here = self.receivers.sample(owner, generator), estimate
             else:
                 points, here = place(owner, np.tile(np.arange(index, index + many), last - first), generator)
-            return item, self._evaluate(points, first, last, here, generator)
+            return self._evaluate(points, first, last, many, here, generator)
 
-        yield from self._read_surfaces(before=True)
+        yield from self.passes(work, samples, batches(self.receivers.count, samples, batch))
+
+    def passes(self, work: Work, samples: int, items: Iterator[tuple[int, int, int, int]]) -> Iterator[Step]:
+        """`work` on all `items` of `batches`, over threads but added up in order, then the finished result.
+
+        What receivers are made of is read in between, so that light shows at once; camera samples find that out by themselves.
+        """
         total, done = self.receivers.count * samples, 0
-        with closing(in_order(work, _batches(self.receivers.count, samples, batch))) as results:
-            for (first, last, many, _), sums in results:
-                self._add(first, last, many, sums)
-                done += many * (last - first)
-                if last == self.receivers.count:
+        reading = self._reading(not self.is_camera)
+        with closing(in_order(work, items)) as results:
+            for sums in results:
+                self._add(sums)
+                done += sums.samples * (sums.last - sums.first)
+                next(reading, None)
+                if sums.last == self.receivers.count:
                     self.measure()
                 if self.clock.due() and done < total:
                     text = f"{done / self.receivers.count:.0f} of {samples} samples"
                     yield from self.clock.pause(Step(done / total, text, self.solution))
+        yield from self._rest(reading, 1.0)
         yield from self.finish(f"{samples} samples")
 
     def sites(self, estimate: Estimate, batch: int = BATCH) -> Iterator[Step]:
@@ -97,19 +130,19 @@ class Run:
         `estimate` gets a generator of fixed seed.
         """
 
-        def work(item: tuple[int, Points]) -> tuple[int, int, np.ndarray, tuple]:
+        def work(item: tuple[int, Points]) -> Sums:
             index, points = item
             generator = np.random.default_rng([11, index])
             first, last = int(points.receiver.min()), int(points.receiver.max()) + 1
             many = np.bincount(points.receiver - first, minlength=last - first)
-            return first, last, many, self._evaluate(points, first, last, estimate, generator)
+            return self._evaluate(points, first, last, many, estimate, generator)
 
-        yield from self._read_surfaces(before=True)
+        yield from self._rest(self._reading(not self.is_camera), 0.0)
         with closing(in_order(work, enumerate(sliced(self.receivers.sites(), batch)))) as results:
-            for first, last, many, sums in results:
-                self._add(first, last, many, sums)
+            for sums in results:
+                self._add(sums)
                 if self.clock.due():
-                    share = last / self.receivers.count
+                    share = sums.last / self.receivers.count
                     yield from self.clock.pause(Step(min(share, 0.999), f"{share:.0%} of the receivers", self.solution))
         yield from self.finish("all receivers")
 
@@ -121,20 +154,24 @@ class Run:
 
     def finish(self, text: str) -> Iterator[Step]:
         """Read what only a finished picture gets, and yield the last step."""
-        yield from self._read_surfaces(before=False)
+        yield from self._rest(self._reading(self.is_camera), 1.0)
         self.partial = False
         yield from self.clock.last(Step(1.0, text, self.solution))
 
-    def _read_surfaces(self, before: bool) -> Iterator[Step]:
-        # Camera samples find out by themselves what they see; the normals and depths are read last.
-        if before == self.is_camera:
-            return
-        for done in read_surfaces(self.world, self.receivers, self.surfaces):
-            if self.clock.due():
-                yield from self.clock.pause(Step(0.0 if before else 1.0, f"Reading surfaces, {done:.0%}", self.solution))
+    def _reading(self, wanted: bool) -> Iterator[float]:
+        """Reads what receivers are made of, where `wanted`: of a camera that is normals and depths, which only a finished picture gets."""
+        return read_surfaces(self.world, self.receivers, self.surfaces) if wanted else iter(())
 
-    def _evaluate(self, points: Points, first: int, last: int, estimate: Estimate, rng: np.random.Generator) -> tuple:
-        """Sums over the receivers first to last: emitted, direct, indirect, albedo (m, 3) float64 and the rays cast."""
+    def _rest(self, reading: Iterator[float], fraction: float) -> Iterator[Step]:
+        """Read on to the end, with `fraction` of the work done."""
+        for done in reading:
+            if self.clock.due():
+                yield from self.clock.pause(Step(fraction, f"Reading surfaces, {done:.0%}", self.solution))
+
+    def _evaluate(
+        self, points: Points, first: int, last: int, many: int | np.ndarray, estimate: Estimate, rng: np.random.Generator
+    ) -> Sums:
+        """Sums over the receivers `first` to `last` with `many` samples each."""
         on = np.flatnonzero(points.triangle >= 0)
         towards = None if points.towards is None else points.towards[on]
         surface = self.world.surface(points.triangle[on], points.u[on], points.v[on], towards)
@@ -154,16 +191,22 @@ class Run:
                 distance = np.where(points.triangle < 0, np.float32(np.inf), points.distance)
                 emitted += self.emitters.along(points.origin, -points.towards, distance)
             sums += [total(emitted, owner), total(self.world.albedo(surface), owner[on])]
-        return sums, points.rays + found.rays
+        else:
+            sums += [None, None]
+        return Sums(first, last, many, *sums, points.rays + found.rays)
 
-    def _add(self, first: int, last: int, many: int | np.ndarray, sums: tuple) -> None:
-        values, rays = sums
-        part = slice(first, last)
-        self.film.add(part, many, values[0], values[1])
+    def _add(self, sums: Sums) -> None:
+        part = slice(sums.first, sums.last)
+        self.film.add(part, sums.samples, sums.direct, sums.indirect)
         if self.is_camera:
-            self.film.emitted[part] += values[2]
-            self.film.albedo[part] += values[3]
-        self.rays += rays
+            self.film.emitted[part] += sums.emitted
+            self.film.albedo[part] += sums.albedo
+        self.rays += sums.rays
+        if sums.spoiled:
+            self._spoiled += sums.spoiled
+            text = f"{self._spoiled} samples were not numbers and count as 0"
+            others = tuple(w for w in self.warnings if not w.reason.endswith("were not numbers and count as 0"))
+            self.warnings = (*others, Notice("", text, "Look for extreme values in lights and materials"))
 
     def solution(self) -> Solution:
         """A copy of the result as it stands."""
@@ -207,12 +250,18 @@ def sliced(chunks: Iterator[Points], batch: int) -> Iterator[Points]:
             yield Points(**(some | {"rays": points.rays if a == 0 else 0}))
 
 
-def _batches(count: int, samples: int, batch: int) -> Iterator[tuple[int, int, int, int]]:
-    """(first receiver, last, samples, index of the first sample): a quick full pass first, then passes of up to 16 samples."""
+def batches(count: int, samples: int, batch: int = BATCH, even: bool = False) -> Iterator[tuple[int, int, int, int]]:
+    """(first receiver, last, samples, index of the first sample) of every batch, pass by pass; independent of the machine.
+
+    A quick full pass first, of several samples at once where receivers are few, then passes of up to `MOST_SAMPLES`. `even`: the number
+    of samples stays at powers of two until the limit, where Sobol points are most even.
+    """
     index = 0
-    size = max(1, min(16, batch // max(1, count)))
+    size = max(1, min(MOST_SAMPLES, batch // max(1, count)))
+    if even:
+        size = 1 << (size.bit_length() - 1)
     while index < samples:
-        now = min(size if index == 0 else min(index, 16), samples - index)
+        now = min(size if index == 0 else min(index, MOST_SAMPLES), samples - index)
         block = max(1, batch // now)
         for first in range(0, count, block):
             yield first, min(first + block, count), now, index

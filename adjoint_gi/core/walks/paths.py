@@ -116,6 +116,7 @@ class Ray:
 class Vertices(Protocol):
     """Where paths stand. `scale`: what a light point's value is multiplied by besides the weight of the path, or None."""
 
+    count: int
     scale: np.float32 | None
 
     def light_points(self, rng: np.random.Generator, uniform: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, int]:
@@ -140,13 +141,19 @@ class Paths:
     """
 
     def __init__(
-        self, walk: Walk, vertices: Vertices, weight: np.ndarray, rng: np.random.Generator, length: int = 1, unit: np.float32 = ONE
+        self,
+        walk: Walk,
+        vertices: Vertices,
+        rng: np.random.Generator,
+        length: int = 1,
+        weight: np.ndarray | np.float32 = ONE,
+        unit: np.float32 = ONE,
     ) -> None:
-        """`unit`: 1 over the weight of a path that is as strong as when it started, for roulette."""
-        self.walk, self.vertices, self.weight, self.rng, self.length, self.unit = walk, vertices, weight, rng, length, unit
-        starts = weight.shape[1]
-        self.row = np.arange(starts)
-        self.direct, self.indirect = np.zeros((2, 3, starts), np.float32)
+        """One path from each of `vertices`. `weight`: one for all or (3, n). `unit`: 1 over the weight of a strong path, for roulette."""
+        self.walk, self.vertices, self.rng, self.length, self.unit = walk, vertices, rng, length, unit
+        self.weight = np.full((3, vertices.count), weight) if np.ndim(weight) == 0 else weight
+        self.row = np.arange(vertices.count)
+        self.direct, self.indirect = np.zeros((2, 3, vertices.count), np.float32)
         self.carried: dict[str, np.ndarray] = {}
         self.rays = 0
         self.ray: Ray | None = None

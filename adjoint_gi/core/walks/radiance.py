@@ -23,6 +23,7 @@ class LobeVertices:
 
     def __init__(self, walk: Walk, surface: Surface, lobes: bsdf.Lobes) -> None:
         self.walk, self.surface, self.lobes = walk, surface, lobes
+        self.count = len(lobes.wo)
 
     def take(self, which: np.ndarray) -> LobeVertices:
         """Some of them."""
@@ -36,7 +37,7 @@ class LobeVertices:
         able = np.flatnonzero(self.lobes.smooth_part())
         if not len(able):
             return able, np.zeros((3, 0), np.float32), 0
-        here = self if len(able) == len(self.lobes.wo) else self.take(able)
+        here = self if len(able) == self.count else self.take(able)
         surface, lobes, world = here.surface, here.lobes, self.walk.world
         # Shadow rays start on one side; where a rough lobe lets light through, on either with equal probability.
         share = light_share(lobes)
@@ -78,9 +79,14 @@ class LobeVertices:
         return LobeVertices(self.walk, surface, lobes_of(self.walk, surface, wo))
 
 
-def paths_from(walk: Walk, surface: Surface, lobes: bsdf.Lobes, rng: np.random.Generator, length: int = 1) -> Paths:
-    """Paths that estimate the radiance which surface points send towards the `wo` of their `lobes`."""
-    return Paths(walk, LobeVertices(walk, surface, lobes), np.ones((3, len(lobes.wo)), np.float32), rng, length)
+def start(walk: Walk, surface: Surface, wo: np.ndarray | None) -> tuple[LobeVertices, np.float32]:
+    """First vertices, and the factor from the radiance they send to what is wanted: radiance towards `wo`, or irradiance where it is None.
+
+    Irradiance is pi times the radiance that a white diffuse surface sends.
+    """
+    if wo is None:
+        return LobeVertices(walk, surface, white(walk, surface)), np.float32(np.pi)
+    return LobeVertices(walk, surface, lobes_of(walk, surface, wo)), np.float32(1)
 
 
 def gather(walk: Walk, surface: Surface, lobes: bsdf.Lobes, rng: np.random.Generator, first_length: int = 1) -> Gathered:
@@ -88,7 +94,7 @@ def gather(walk: Walk, surface: Surface, lobes: bsdf.Lobes, rng: np.random.Gener
 
     `first_length` is the path length of light that reaches the points directly.
     """
-    return follow(paths_from(walk, surface, lobes, rng, first_length))
+    return follow(Paths(walk, LobeVertices(walk, surface, lobes), rng, first_length))
 
 
 def lobes_of(walk: Walk, surface: Surface, wo: np.ndarray) -> bsdf.Lobes:
