@@ -92,25 +92,25 @@ class LocalIllumination(Solver):
 
 
 def shade(world: World, points: LightPoints, table: BsdfTable, surface: Surface, wo: np.ndarray | None, s: LocalSettings) -> Gathered:
-    """Eq. 6 to 8 at surface points: radiance towards `wo` (n, 3), or irradiance where it is None."""
-    n = len(surface.triangle)
-    direct = np.zeros((n, 3), np.float32)
+    """Eq. 6 to 8 at surface points, Le left out: radiance towards `wo` (n, 3), or irradiance where it is None."""
+    direct, indirect = np.zeros((2, len(surface.triangle), 3), np.float32)
     rays = 0
-    if s.min_length <= 1 <= s.max_length:
-        lobes = None if wo is None else table.at(surface.triangle, surface.u, surface.v, surface.ns, surface.side, wo)
-        for wi, cosine, radiance, weight, cast in points.at(world, surface, s.shadows):
+    # sum_j fr Le(j) cos theta(j) dw(j); irradiance is the same without the reflectance.
+    if s.min_length <= 1 <= s.max_length and wo is None:
+        direct, rays = points.irradiance(world, surface, s.shadows)
+    elif s.min_length <= 1 <= s.max_length:
+        lobes = table.at(surface.triangle, surface.u, surface.v, surface.ns, surface.side, wo)
+        for wi, cosine, radiance, solid_angle, cast in points.at(world, surface, s.shadows):
             rays += cast
-            # Irradiance of this element on the surface.
-            light = radiance * (cosine * weight)[:, None]
-            if lobes is None:
-                direct += light
-                continue
-            direct += light * lobes.diffuse / np.float32(np.pi)
-            if s.model != "bouknight":
-                # Phong leaves out the cosine of incidence: his light is radiance times solid angle.
-                beam = light if s.model == "cook" else radiance * weight[:, None]
-                direct += beam * phong_lobe(lobes, wi)
-    indirect = np.zeros((n, 3), np.float32)
+            # Bouknight (7): k_d Le(j) cos theta(j), with k_d = albedo / pi.
+            received = radiance * (cosine * solid_angle)[:, None]
+            direct += received * lobes.diffuse / np.float32(np.pi)
+            # Phong (8) adds k_s Le(j) cos^n alpha(j), without the cosine of incidence; Cook et al. have the cosine here, too.
+            if s.model == "phong":
+                direct += radiance * solid_angle[:, None] * phong_lobe(lobes, wi)
+            elif s.model == "cook":
+                direct += received * phong_lobe(lobes, wi)
+    # rho_a L_a.
     if s.max_length >= 2:
         ambient = np.float32(s.ambient)
         indirect += ambient * np.pi if wo is None else ambient * world.albedo(surface)

@@ -25,20 +25,22 @@ from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf import mirrors
 from ..adjoint_gi.core.bsdf import table as bsdf
 from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES, DIFFUSE, KINDS, LOBES, REFRACTING
+from ..adjoint_gi.core.lights.direct import INF, from_hits
 from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.lights.light_points import LightPoints, phong_lobe
 from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.registry import DETERMINISTIC, GATHERING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Receivers
+from ..adjoint_gi.core.sampling.maps import columns
 from ..adjoint_gi.core.scene.arrays import Lobe, RayKind, constant_of
+from ..adjoint_gi.core.scene.faces import Faces
 from ..adjoint_gi.core.scene.world import Surface, World
 from ..adjoint_gi.core.walks.gathering import Run
 from ..adjoint_gi.core.walks.paths import Gathered
 
 FRONT = 1 << 14  # rays that are followed at once
 MANY = 8  # glass surfaces after which rays that are all followed are very many
-INF = np.float32(np.inf)
 
 ROUGH = (
     ("highlights", "Highlights", "Rough surfaces reflect only the lights, by the BRDF in Eq. 9; rough glass is taken as clear"),
@@ -159,7 +161,7 @@ class Tracer:
 
     def __init__(self, world: World, emitters: Emitters, settings: WhittedSettings) -> None:
         self.world, self.emitters, self.settings = world, emitters, settings
-        self.points = LightPoints(emitters, settings.light_points)
+        self.points, self.faces = LightPoints(emitters, settings.light_points), Faces(world)
         self.table = bsdf.BsdfTable(world.scene)
 
     @property
@@ -175,7 +177,7 @@ class Tracer:
         if wo is None:
             rays = 0
             if s.min_length <= 1 <= s.max_length:
-                direct, rays = irradiance(self.world, self.points, surface)
+                direct, rays = self.points.irradiance(self.world, surface)
             if s.max_length >= 2:
                 indirect += np.float32(np.pi * s.ambient)
             return Gathered(direct, indirect, rays)
@@ -203,18 +205,19 @@ class Tracer:
     def _follow(self, front: Front, depth: int) -> tuple[np.ndarray, np.ndarray, list[Front], int]:
         """One step of rays that make paths of length `depth`: emission met and light reflected, (m, 3) each, new rays, rays cast."""
         s = self.settings
-        triangle, u, v, t = self.world.intersect(front.origin, front.wi, front.kind)
-        hit = np.flatnonzero(triangle >= 0)
-        surface = self.world.surface(triangle[hit], u[hit], v[hit], -front.wi[hit])
+        triangle, u, v, t = met = self.world.intersect(front.origin, front.wi, front.kind)
         found, reflected = np.zeros_like(front.weight), np.zeros_like(front.weight)
         if s.min_length <= depth <= s.max_length:
-            # Emission seen in mirrors and through glass: the light points stand only for the other lobes.
-            found[triangle < 0] = self.emitters.escaping(front.wi[triangle < 0])
-            found[hit] = self.world.emission(surface)
-            found += self.emitters.along(front.origin, front.wi, np.where(triangle < 0, INF, t))
+            # Le(y), seen in mirrors and through glass: the light points stand only for the other lobes.
+            all_of_it = np.full(len(t), INF)
+            for rows, value in from_hits(self.emitters, self.faces, columns(front.origin), columns(front.wi), met, all_of_it):
+                found[rows] += value.T
             found *= front.weight
+        hit = np.flatnonzero(triangle >= 0)
         if not len(hit) or depth >= s.max_length:
             return found, reflected, [], len(triangle)
+        # What the surface there reflects, by the same equation.
+        surface = self.world.surface(triangle[hit], u[hit], v[hit], -front.wi[hit])
         lit, ambient, nexts, rays = self._shade(surface, front.take(hit), depth + 1)
         reflected[hit] = lit + ambient
         return found, reflected, nexts, len(triangle) + rays
@@ -230,6 +233,7 @@ class Tracer:
         rest = lobes.without(mirror)
         lit, ambient = np.zeros_like(front.weight), np.zeros_like(front.weight)
         rays = 0
+        # sum_j fr(x) Le(j) cos theta(j) dw(j).
         if s.min_length <= length <= s.max_length:
             # Purely diffuse points, most of all, are done together and at less cost.
             shiny = rest.others()
@@ -241,9 +245,10 @@ class Tracer:
                     lit[able], cast = sum_up(surface.take(able), rest.take(able))
                     rays += cast
             lit *= front.weight
+        # rho_a L_a.
         if s.ambient > 0 and length < s.max_length:
             ambient = np.float32(s.ambient) * front.weight * _ambient_reflectance(rest)
-        # The rays that go on.
+        # rho_s(x) Lo(y): the rays that go on to the points y.
         nexts = []
         if length <= s.depth and length <= s.max_length:
             for branch in mirrors.branches(lobes, mirror):
@@ -260,7 +265,7 @@ class Tracer:
 
     def _diffuse(self, surface: Surface, lobes: bsdf.Lobes) -> tuple[np.ndarray, int]:
         """The sum over the light elements at diffuse points, (n, 3), and the shadow rays cast."""
-        total, rays = irradiance(self.world, self.points, surface)
+        total, rays = self.points.irradiance(self.world, surface)
         return total * lobes.diffuse / np.float32(np.pi), rays
 
     def _shiny(self, surface: Surface, lobes: bsdf.Lobes) -> tuple[np.ndarray, int]:
@@ -292,16 +297,6 @@ class Tracer:
         kind = np.full(len(rows), RayKind.TRANSMISSION if branch.through else RayKind.GLOSSY)
         origin = self.world.leave(surface.take(rows), np.full(len(rows), branch.through))
         return Front(front.row[rows], np.ascontiguousarray(origin), np.ascontiguousarray(branch.wi[keep]), weight[keep], kind)
-
-
-def irradiance(world: World, points: LightPoints, surface: Surface) -> tuple[np.ndarray, int]:
-    """(n, 3) irradiance from the light elements, and the shadow rays cast."""
-    out = np.zeros((len(surface.triangle), 3), np.float32)
-    rays = 0
-    for _, cosine, radiance, weight, cast in points.at(world, surface, True):
-        out += radiance * (cosine * weight)[:, None]
-        rays += cast
-    return out, rays
 
 
 def _ambient_reflectance(lobes: bsdf.Lobes) -> np.ndarray:

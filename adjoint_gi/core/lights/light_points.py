@@ -43,8 +43,16 @@ class LightPoints:
         """At how many points to work at once, so that a batch takes about a tenth of a second."""
         return max(256, min(1 << 14, (1 << 17) // max(1, len(self._draws))))
 
+    def irradiance(self, world: World, surface: Surface, shadows: bool = True) -> tuple[np.ndarray, int]:
+        """(n, 3) float32 sum_j Le(j) cos theta(j) dw(j) at the points, W m-2, and the shadow rays cast."""
+        out, rays = np.zeros((len(surface.triangle), 3), np.float32), 0
+        for _, cosine, radiance, weight, cast in self.at(world, surface, shadows):
+            out += radiance * (cosine * weight)[:, None]
+            rays += cast
+        return out, rays
+
     def at(self, world: World, surface: Surface, shadows: bool) -> Iterator[tuple]:
-        """For each element: wi (n, 3), cosine (n,), radiance (n, 3), weight (n,) = solid angle (0 where hidden), shadow rays cast."""
+        """For each element j: wi (n, 3), cosine (n,), radiance (n, 3), weight (n,) = solid angle (0 where hidden), shadow rays cast."""
         origin = world.leave(surface)
         p = np.ascontiguousarray(origin.T)
         for index, many, a, b in self._draws:
