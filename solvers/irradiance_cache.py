@@ -99,7 +99,7 @@ class IrradianceCache(Solver):
         seed = rng.integers(0, 1 << 63, 4).tolist()
         state = _State(world, settings, walk, seed)
 
-        # Step 1: fill the cache. Every 64th point first, so that records spread out before they fill in.
+        # Step 1: fill the cache with the irradiance at some points. Every 64th first, so that records spread out before they fill in.
         if settings.max_length >= 2:
             for stride, start in ((64, 0), (8, 4), (1, 0)):
                 for share in state.cover(receivers, stride, start, run):
@@ -107,17 +107,11 @@ class IrradianceCache(Solver):
                         text = f"{len(state.records.radius):,} cached values, pass of every {stride}"
                         yield from run.clock.pause(Step(min(0.8, 0.8 * share / stride), text, run.solution))
 
-        # Step 2: read it. The index does not change any more, so threads may share it.
-        direct_counts = settings.min_length <= 1 <= settings.max_length
-
+        # Step 2: fd * irradiance at every receiver. The index does not change any more, so threads may share it.
         def estimate(surface: Surface, wo: np.ndarray | None, generator: np.random.Generator) -> Gathered:
-            zero = np.zeros((len(surface.triangle), 3), np.float32)
-            direct, rays = direct_irradiance(world, emitters, surface, settings.light_samples, generator) if direct_counts else (zero, 0)
-            indirect = state.index.irradiance(surface.position, surface.ns, settings.gradients)[0] if settings.max_length >= 2 else zero
-            if wo is not None:
-                fd = world.albedo(surface) / np.float32(np.pi)
-                direct, indirect = direct * fd, indirect * fd
-            return Gathered(direct, indirect, rays)
+            direct, rays = state.direct(surface, generator)
+            found = Gathered(direct, state.indirect(surface), rays)
+            return found if wo is None else found.times(world.albedo(surface) / np.float32(np.pi))
 
         for step in run.sites(estimate):
             yield Step(0.8 + 0.2 * step.fraction, step.text, step.solution)
@@ -132,6 +126,19 @@ class _State:
         self.cols = max(4, round(settings.rays / self.rows))
         self.records = Records.empty()
         self.index = RecordIndex(self.records, settings.accuracy, 1.01 * world.size)
+
+    def direct(self, surface: Surface, rng: np.random.Generator) -> tuple[np.ndarray, int]:
+        """(n, 3) irradiance straight from the lights, which is not cached, and the rays cast."""
+        s = self.settings
+        if s.min_length <= 1 <= s.max_length:
+            return direct_irradiance(self.world, self.walk.emitters, surface, s.light_samples, rng)
+        return np.zeros((len(surface.triangle), 3), np.float32), 0
+
+    def indirect(self, surface: Surface) -> np.ndarray:
+        """(n, 3) int Lr cos dw, interpolated."""
+        if self.settings.max_length < 2:
+            return np.zeros((len(surface.triangle), 3), np.float32)
+        return self.index.irradiance(surface.position, surface.ns, self.settings.gradients)[0]
 
     def cover(self, receivers: Receivers, stride: int, start: int, run: Run) -> Iterator[float]:
         """Make records until every `stride`-th receiver point has one; yields the share done."""
@@ -155,7 +162,7 @@ class _State:
         def make(item: tuple[int, np.ndarray]) -> tuple[Records, int]:
             index, block = item
             generator = np.random.Generator(np.random.SFC64([*self.seed, first + index * BLOCK]))
-            return self._make(surface, block, generator)
+            return self._make(surface.take(block), generator)
 
         for records, rays in in_order(make, enumerate(blocks)):
             self.records = self.records.joined(records)
@@ -163,38 +170,43 @@ class _State:
             yield 0.0
         self.index = RecordIndex(self.records, self.settings.accuracy, 1.01 * self.world.size)
 
-    def _make(self, surface: Surface, which: np.ndarray, rng: np.random.Generator) -> tuple[Records, int]:
-        """Records at some points: stratified rays over the hemisphere, each followed by a random walk."""
-        world, n = self.world, len(which)
-        position, ng, ns = surface.position[which], surface.ng[which], surface.ns[which]
-        x, y = frame_rows(ns)
-        local, _ = hemisphere(self.rows, self.cols, rng, n)
-        d = local[..., :1] * x[:, None, None] + local[..., 1:2] * y[:, None, None] + local[..., 2:] * ns[:, None, None]
-        direction = np.ascontiguousarray(d.reshape(-1, 3), np.float32)
-        many = self.rows * self.cols
-        origin = np.repeat(world.lifted(position, ng), many, axis=0)
-        # Rays below the geometric surface bring nothing.
-        up = np.einsum("ij,ij->i", direction, np.repeat(ng, many, axis=0)) > 0
-        triangle, u, v, t = world.intersect(origin, direction, RayKind.DIFFUSE)
-        hit = np.flatnonzero((triangle >= 0) & up)
-        there = world.surface(triangle[hit], u[hit], v[hit], -direction[hit])
-        found = gather(self.walk, there, lobes_of(self.walk, there, -direction[hit]), rng, first_length=2)
-        radiance = np.zeros((len(direction), 3), np.float32)
-        radiance[hit] = found.indirect
-        distance = np.full(len(direction), 4 * world.size, np.float32)
-        distance[hit] = np.maximum(t[hit], np.float32(1e-6 * world.size))
-        shape = (n, self.rows, self.cols)
-        radiance, distance = radiance.reshape(*shape, 3), distance.reshape(shape)
-
+    def _make(self, surface: Surface, rng: np.random.Generator) -> tuple[Records, int]:
+        """Records at some points, and the rays cast for them."""
+        s, size = self.settings, self.world.size
+        x, y = frame_rows(surface.ns)
+        local, _ = hemisphere(self.rows, self.cols, rng, len(x))
+        radiance, distance, rays = self._look(surface, local, x, y, rng)
+        # int Lr cos dw: directions are drawn by the cosine, so it is pi times the mean. It holds as far as the harmonic mean distance.
         irradiance = radiance.mean(axis=(1, 2)) * np.float32(np.pi)
         radius = 1 / (1 / distance).mean(axis=(1, 2))
         rotation, translation = gradients(radiance, distance, local, x, y)
-        if self.settings.gradients:
+        if s.gradients:
             # Nothing may be extrapolated to below zero within its reach.
             slope = np.sqrt((translation.sum(axis=1) ** 2).sum(axis=1))
             radius = np.minimum(radius, irradiance.sum(axis=1) / np.maximum(slope, np.float32(1e-20)))
         bound = radius
-        radius = np.clip(radius, self.settings.min_spacing * world.size / self.settings.accuracy, 2 * world.size).astype(np.float32)
+        radius = np.clip(radius, s.min_spacing * size / s.accuracy, 2 * size).astype(np.float32)
         # Where the least spacing makes records reach further than that, they are extrapolated less.
         translation = translation * np.minimum(1, bound / radius)[:, None, None].astype(np.float32)
-        return Records(position, ns, irradiance.astype(np.float32), radius, rotation, translation), len(direction) + found.rays
+        return Records(surface.position, surface.ns, irradiance.astype(np.float32), radius, rotation, translation), rays
+
+    def _look(
+        self, surface: Surface, local: np.ndarray, x: np.ndarray, y: np.ndarray, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray, int]:
+        """What points see along directions `local` (n, rows, cols, 3) of their frames: reflected radiance (n, rows, cols, 3) by a random
+        walk, distance (n, rows, cols), and the rays cast."""
+        world, shape = self.world, local.shape[:3]
+        d = local[..., :1] * x[:, None, None] + local[..., 1:2] * y[:, None, None] + local[..., 2:] * surface.ns[:, None, None]
+        direction = np.ascontiguousarray(d.reshape(-1, 3), np.float32)
+        many = self.rows * self.cols
+        origin = np.repeat(world.leave(surface), many, axis=0)
+        # Rays below the geometric surface bring nothing.
+        up = np.einsum("ij,ij->i", direction, np.repeat(surface.ng, many, axis=0)) > 0
+        triangle, u, v, t = world.intersect(origin, direction, RayKind.DIFFUSE)
+        hit = np.flatnonzero((triangle >= 0) & up)
+        there = world.surface(triangle[hit], u[hit], v[hit], -direction[hit])
+        found = gather(self.walk, there, lobes_of(self.walk, there, -direction[hit]), rng, first_length=2)
+        radiance, distance = np.zeros((len(direction), 3), np.float32), np.full(len(direction), 4 * world.size, np.float32)
+        radiance[hit] = found.indirect
+        distance[hit] = np.maximum(t[hit], np.float32(1e-6 * world.size))
+        return radiance.reshape(*shape, 3), distance.reshape(shape), len(direction) + found.rays

@@ -64,8 +64,7 @@ class MeshLights(LightKind):
         to = points(self._corner, self._e1, self._e2, i, a, b)
         to -= p
         ng = self._ng.take(i, axis=1)
-        side = dot(to, ng)
-        to -= np.copysign(np.float32(self.world.offset), side) * ng
+        to = self.world.lifted(to, ng, -np.copysign(np.float32(1), dot(to, ng)))
         distance = np.sqrt(dot(to, to))
         to /= np.maximum(distance, np.float32(1e-20))
         cosine = np.abs(dot(to, ng))

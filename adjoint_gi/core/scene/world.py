@@ -8,6 +8,7 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
+from ..sampling.maps import ONE
 from .arrays import RayKind, SceneArrays
 from .normals import shading_normals
 from .shading import Shading
@@ -160,11 +161,15 @@ class World:
 
     def leave(self, surface: Surface, through: np.ndarray | None = None) -> np.ndarray:
         """(n, 3) float32 origins of rays that leave `surface` on the side of its `ng`, or on the other where `through` (n,) bool."""
-        return self.lifted(surface.position, surface.ng if through is None else np.where(through[:, None], -surface.ng, surface.ng))
+        side = ONE if through is None else np.where(through[:, None], -ONE, ONE)
+        return self.lifted(surface.position, surface.ng, side)
 
-    def lifted(self, position: np.ndarray, normal: np.ndarray) -> np.ndarray:
-        """`position` moved off its surface to the side of `normal`, rows or component first: the one place where rays are offset."""
-        return position + normal * np.float32(self.offset)
+    def lifted(self, position: np.ndarray, normal: np.ndarray, side: np.ndarray | np.float32 = ONE) -> np.ndarray:
+        """`position` moved off its surface along `normal`, against it where `side` is -1: the one place where rays are offset.
+
+        Rows or component first.
+        """
+        return position + normal * (side * np.float32(self.offset))
 
     def albedo(self, surface: Surface) -> np.ndarray:
         """(n, 3) float32 diffuse reflectance, between 0 and 1."""
