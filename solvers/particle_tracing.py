@@ -113,83 +113,86 @@ class ParticleTracing(Solver):
 
     def solve(self, world: World, receivers: Receivers, settings: ParticleSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every batch; the fraction is particles done."""
-        clock = Clock()
-        emission = Emission(world)
-        table = BsdfTable(world.scene)
-        table = None if table.only_diffuse else table
-        if at_receivers(receivers, settings):
-            score = ReceiverScore(world, receivers, settings, settings.particles, settings.radius)
-        else:
-            score = ElementScore(elements_for(world, receivers, settings.max_edge, automatic(settings.particles)), receivers, settings)
-        tally = Tally(score.count, len(emission.names))
-        warnings = world.scene.warnings + notices(world, emission) + camera_notices(world, receivers, settings)
+        shot = Shooting(self.spec, world, receivers, settings, rng)
 
-        def solution(partial: bool = True) -> Solution:
-            direct, indirect = tally.per_particle(tally.direct), tally.per_particle(tally.indirect)
-            arrays, rays = score.arrays(direct, indirect, tally.area)
-            arrays["extra"] = {
-                **arrays["extra"],
-                "light_flux": tally.per_particle(tally.lights).astype(np.float32),
-                "light_names": np.array(emission.names, np.str_),
-            }
-            return Solution(
-                self.spec.id,
-                receivers.measure,
-                **arrays,
-                rays=tally.ends.rays + rays,
-                seconds=clock.seconds,
-                balance=tally.balance(),
-                history=tuple(tally.history),
-                warnings=warnings,
-                settings=settings.as_dict(),
-                partial=partial,
-            )
+        # Step 1: where the receivers lie on the elements, or what they are made of: the places g whose flux is wanted.
+        for share in shot.score.prepare():
+            yield from shot.clock.pause(Step(0.0, f"Finding receivers, {share:.0%}", shot.solution))
 
-        # Step 1: where the receivers lie on the elements, or what they are made of.
-        for share in score.prepare():
-            yield from clock.pause(Step(0.0, f"Finding receivers, {share:.0%}", solution))
-
-        # Step 2: batches of particles, each with random numbers of its own.
-        sizes = batch_sizes(0 if emission.is_dark else settings.particles, score.count)
-        seeds = rng.integers(0, 1 << 63, 4).tolist()
-
-        def shoot(index: int) -> Batch:
-            generator = np.random.Generator(np.random.SFC64([*seeds, index]))
-            return shoot_batch(world, score, emission, table, sizes[index], settings, generator)
-
-        with closing(in_order(shoot, range(len(sizes)))) as batches:
+        # Step 2: Phi = <W, Le> of all of them by the same particles (15), batch by batch.
+        with closing(in_order(shot.batch, range(len(shot.sizes)))) as batches:
             for batch in batches:
-                tally.add(batch)
-                tally.history.append((clock.seconds, tally.relative_error()))
-                if tally.count < settings.particles:
-                    text = f"{tally.count:,} of {settings.particles:,} particles"
-                    yield from clock.pause(Step(tally.count / settings.particles, text, solution))
+                shot.tally.add(batch)
+                shot.tally.history.append((shot.clock.seconds, shot.tally.relative_error()))
+                done = shot.tally.count
+                if done < settings.particles:
+                    yield from shot.clock.pause(
+                        Step(done / settings.particles, f"{done:,} of {settings.particles:,} particles", shot.solution)
+                    )
         if at_receivers(receivers, settings):
-            warnings += empty_notices(self.spec.label, tally)
-        yield from clock.last(Step(1.0, f"{tally.count:,} particles", lambda: solution(False)))
+            shot.warnings += empty_notices(self.spec.label, shot.tally)
+        shot.partial = False
+        yield from shot.clock.last(Step(1.0, f"{shot.tally.count:,} particles", shot.solution))
 
 
-def shoot_batch(
-    world: World,
-    score: ElementScore | ReceiverScore,
-    emission: Emission,
-    table: BsdfTable | None,
-    count: int,
-    settings: ParticleSettings,
-    rng: np.random.Generator,
-) -> Batch:
-    """Draw `count` particles, follow them to their ends, and sum the power that arrives at every place that is counted."""
-    first: list[tuple] = []
-    later: list[tuple] = []
+class Shooting:
+    """One solve: what emits, where particles are counted, and what was counted so far."""
 
-    def visit(hits: Hits) -> None:
-        if hits.length >= settings.min_length:
-            (first if hits.length == 1 else later).append(score.note(hits))
+    def __init__(self, spec: MethodSpec, world: World, receivers: Receivers, settings: ParticleSettings, rng: np.random.Generator) -> None:
+        self.spec, self.world, self.receivers, self.settings = spec, world, receivers, settings
+        self.clock = Clock()
+        self.emission, table = Emission(world), BsdfTable(world.scene)
+        self.table = None if table.only_diffuse else table
+        if at_receivers(receivers, settings):
+            self.score = ReceiverScore(world, receivers, settings, settings.particles, settings.radius)
+        else:
+            elements = elements_for(world, receivers, settings.max_edge, automatic(settings.particles))
+            self.score = ElementScore(elements, receivers, settings)
+        self.tally = Tally(self.score.count, len(self.emission.names))
+        self.warnings = world.scene.warnings + notices(world, self.emission) + camera_notices(world, receivers, settings)
+        self.partial = True
+        # Each batch has random numbers of its own.
+        self.sizes = batch_sizes(0 if self.emission.is_dark else settings.particles, self.score.count)
+        self.seeds = rng.integers(0, 1 << 63, 4).tolist()
 
-    particles = emission.draw(count, rng)
-    ends = walk(world, particles, settings.max_length, rng, visit, table)
-    lights = np.stack([np.bincount(particles.light, particles.weight[:, c], len(emission.names)) for c in range(3)], axis=1)
-    return Batch(count, score.power(first), score.power(later), score.area(count, rng), lights, ends)
+    def batch(self, index: int) -> Batch:
+        """E / n sum_i [ g(x_i0) + sum_k g(x_ik) ] (15) over the particles of one batch, for every place g."""
+        count, s = self.sizes[index], self.settings
+        rng = np.random.Generator(np.random.SFC64([*self.seeds, index]))
+        first: list[tuple] = []
+        later: list[tuple] = []
+
+        def visit(hits: Hits) -> None:
+            # g(x_i0): particles that arrive straight from a light; g(x_ik): after k reflections.
+            if hits.length >= s.min_length:
+                (first if hits.length == 1 else later).append(self.score.note(hits))
+
+        # Le normalised by its total E: each particle starts with the power E / n.
+        particles = self.emission.draw(count, rng)
+        # x_i0, x_i1, ...: it is absorbed or reflected where it arrives, until it is absorbed or escapes.
+        ends = walk(self.world, particles, s.max_length, rng, visit, self.table)
+        lights = [np.bincount(particles.light, particles.weight[:, c], len(self.emission.names)) for c in range(3)]
+        area = self.score.area(count, rng)
+        return Batch(count, self.score.power(first), self.score.power(later), area, np.stack(lights, axis=1), ends)
+
+    def solution(self) -> Solution:
+        """The result as it stands: power over area is irradiance."""
+        tally = self.tally
+        arrays, rays = self.score.arrays(tally.per_particle(tally.direct), tally.per_particle(tally.indirect), tally.area)
+        lights = {"light_flux": tally.per_particle(tally.lights).astype(np.float32), "light_names": np.array(self.emission.names, np.str_)}
+        arrays["extra"] = arrays["extra"] | lights
+        return Solution(
+            self.spec.id,
+            self.receivers.measure,
+            **arrays,
+            rays=tally.ends.rays + rays,
+            seconds=self.clock.seconds,
+            balance=tally.balance(),
+            history=tuple(tally.history),
+            warnings=self.warnings,
+            settings=self.settings.as_dict(),
+            partial=self.partial,
+        )
 
 
 def automatic(particles: int) -> int:
