@@ -203,7 +203,7 @@ class Paths:
         rows = np.flatnonzero(hit[0] >= 0)
         luck = self.rng.random(len(rows), np.float32) if self.length >= walk.roulette else None
         if self.length == walk.max_length:
-            self.take(rows[:0])
+            self.row = self.row[:0]
             return
         weight = self.weight.take(rows, axis=1)
         reflectance = self.vertices.reflectance(hit, rows)
@@ -218,14 +218,18 @@ class Paths:
             survive = np.flatnonzero(luck < chance)
             weight = weight.take(survive, axis=1) / chance.take(survive)
         rows = rows.take(survive)
-        self.take(rows)
+        self._keep(rows)
         self.weight = weight
         self.vertices = self.vertices.arrive(self.ray, hit, rows, self.row, self.rng)
         self.length += 1
 
     def take(self, rows: np.ndarray) -> None:
         """Keep only some paths; vertices and rays are left to the caller."""
-        self.row, self.weight = self.row.take(rows), self.weight.take(rows, axis=1)
+        self._keep(rows)
+        self.weight = self.weight.take(rows, axis=1)
+
+    def _keep(self, rows: np.ndarray) -> None:
+        self.row = self.row.take(rows)
         self.carried = {name: values[rows] for name, values in self.carried.items()}
 
     def collect(self, rows: np.ndarray, value: np.ndarray, scale: np.float32 | None = None, indirect: bool = False) -> None:
