@@ -203,7 +203,7 @@ class Paths:
         rows = np.flatnonzero(hit[0] >= 0)
         luck = self.rng.random(len(rows), np.float32) if self.length >= walk.roulette else None
         if self.length == walk.max_length:
-            self.row = self.row[:0]
+            self.take(rows[:0])
             return
         weight = self.weight.take(rows, axis=1)
         reflectance = self.vertices.reflectance(hit, rows)
@@ -222,6 +222,15 @@ class Paths:
         self.weight = weight
         self.vertices = self.vertices.arrive(self.ray, hit, rows, self.row, self.rng)
         self.length += 1
+
+    def step(self) -> bool:
+        """Take all steps at the vertices where the paths are; False at the end."""
+        self.light_points()
+        on = self.scatter()
+        if on:
+            self.emission_met()
+            self.arrive()
+        return on
 
     def take(self, rows: np.ndarray) -> None:
         """Keep only some paths; vertices and rays are left to the caller."""
@@ -260,11 +269,7 @@ def add(target: np.ndarray, rows: np.ndarray, value: np.ndarray) -> None:
 
 
 def follow(paths: Paths) -> Gathered:
-    """Take all steps to the end of all paths: path tracing (Eq. 12) as a part of other methods."""
-    while paths.alive:
-        paths.light_points()
-        if not paths.scatter():
-            break
-        paths.emission_met()
-        paths.arrive()
+    """Go on to the end of all paths: path tracing (Eq. 12) as a part of other methods."""
+    while paths.alive and paths.step():
+        pass
     return paths.gathered()

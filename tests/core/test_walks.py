@@ -1,0 +1,138 @@
+"""The walks that gather and that shoot: strategies agree, what paths carry stays with them, and emission is shared out once."""
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
+from adjgi.adjoint_gi.core.lights import direct
+from adjgi.adjoint_gi.core.lights.direct import INF, LEAST
+from adjgi.adjoint_gi.core.lights.emitters import Emitters
+from adjgi.adjoint_gi.core.sampling.maps import PI, columns
+from adjgi.adjoint_gi.core.scene.arrays import Light, RayKind
+from adjgi.adjoint_gi.core.scene.faces import Faces
+from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.adjoint_gi.core.walks.diffuse_paths import STRATIFIED, VERTEX, DiffuseVertices, Numbers
+from adjgi.adjoint_gi.core.walks.paths import Paths, Walk, by_root, by_weight, follow
+from adjgi.adjoint_gi.core.walks.radiance import start
+from adjgi.adjoint_gi.core.walks.shooting import Flight, Scattered, shoot
+from adjgi.tests import scenes
+from adjgi.tests.surface_points import receivers_at
+
+N = 40_000
+Z = 4.3
+
+
+def floor_of_cornell():
+    """World and N points on its floor."""
+    world = World(scenes.cornell())
+    points = receivers_at(world, [(0.2, 0.3, 0), (0.8, 0.8, 0), (0.5, 0.1, 0)])
+    pick = np.arange(N) % 3
+    return world, world.surface(points.triangle[pick], points.u[pick], points.v[pick])
+
+
+def mean_and_error(found):
+    values = (found.direct + found.indirect).astype(float)
+    return values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(len(values))
+
+
+@pytest.mark.parametrize("survival", [by_weight, by_root])
+def test_diffuse_vertices_and_those_with_lobes_find_the_same(survival):
+    world, surface = floor_of_cornell()
+    walk = Walk(world, Emitters(world), BsdfTable(world.scene), max_length=6, survival=survival)
+    vertices, factor = start(walk, surface, None)
+    general = follow(Paths(walk, vertices, np.random.default_rng(1))).times(factor)
+    rng = np.random.default_rng(2)
+    numbers = Numbers(rng.random((VERTEX * STRATIFIED, N), np.float32))
+    ng, weight = columns(surface.ng), np.full((3, N), PI)
+    plain = DiffuseVertices(walk, columns(surface.position), ng, ng, numbers.at(np.arange(N), rng), numbers)
+    fast = follow(Paths(walk, plain, rng, weight=weight, unit=1 / PI))
+    (a, da), (b, db) = mean_and_error(general), mean_and_error(fast)
+    assert (np.hypot(da, db) < 0.02 * a).all()
+    assert (np.abs(a - b) < Z * np.hypot(da, db)).all()
+
+
+def test_what_paths_carry_stays_with_them():
+    """Each path carries its own number; after every step it is still that of its row."""
+    world, surface = floor_of_cornell()
+    walk = Walk(world, Emitters(world), BsdfTable(world.scene), max_length=8, roulette=1)
+    paths = Paths(walk, start(walk, surface, None)[0], np.random.default_rng(3))
+    paths.carried = {"number": np.arange(N)}
+    lengths = []
+    while paths.alive and paths.step():
+        assert (paths.carried["number"] == paths.row).all()
+        assert paths.weight.shape == (3, len(paths.row)) and (not len(paths.row) or paths.vertices.count == len(paths.row))
+        lengths.append(len(paths.row))
+    assert 2 < len(lengths) <= 8 and (np.diff(lengths) <= 0).all()
+
+
+def test_the_same_weight_for_all_scales_everything():
+    world, surface = floor_of_cornell()
+    walk = Walk(world, Emitters(world), BsdfTable(world.scene), max_length=3)
+    one, half = (follow(Paths(walk, start(walk, surface, None)[0], np.random.default_rng(4), weight=np.float32(w))) for w in (1.0, 0.5))
+    assert (half.direct == one.direct / 2).all() and (half.indirect == one.indirect / 2).all()
+
+
+def test_emission_met_is_shared_with_light_points_by_the_density_of_the_rays():
+    """INF takes everything, LEAST leaves it to light points, and what lies between takes the share of the power heuristic."""
+    b = scenes.cornell_builder()
+    b.light(Light("Ball", "point", (1.0, 1.0, 1.0), position=(0.5, 0.5, 0.5), radius=0.2))
+    b.background = (0.3, 0.2, 0.1)
+    world = World(b.build())
+    emitters, faces = Emitters(world), Faces(world)
+    rng = np.random.default_rng(5)
+    w = rng.normal(size=(3, 20_000)).astype(np.float32)
+    w /= np.sqrt((w * w).sum(axis=0))
+    origin = np.repeat(np.float32([[0.0], [-0.3], [0.45]]), w.shape[1], axis=1)
+    hit = world.intersect(origin.T, w.T, RayKind.DIFFUSE)
+
+    def met(pdf):
+        out = np.zeros_like(w)
+        for rows, value in direct.from_hits(emitters, faces, origin, w, hit, np.full(w.shape[1], pdf, np.float32)):
+            out[:, rows] += value
+        return out
+
+    full, none, some = met(INF), met(LEAST), met(0.5)
+    escaped = hit[0] < 0
+    assert np.allclose(none[:, ~escaped], 0) and np.allclose(none[:, escaped].T, (0.3, 0.2, 0.1))
+    assert (some <= full * (1 + 1e-6)).all() and ((some > 0) & (some < full))[:, ~escaped].any()
+    own = world.shading.emission(*(a[~escaped] for a in hit[:3])).T + 0
+    assert (full[:, ~escaped] >= own - 1e-6).all() and (full[:, ~escaped] > own + 1e-3).any(), "the ball is not seen before the walls"
+
+
+def test_a_walk_that_shoots_keeps_rows_and_ends_where_told():
+    """Mirrors on all walls: nothing escapes a closed box, each row flies every segment, and weights are what the strategy says."""
+    world = World(scenes.cube())
+    n, most = 500, 5
+    rng = np.random.default_rng(6)
+    direction = rng.normal(size=(n, 3))
+    direction = (direction / np.linalg.norm(direction, axis=1)[:, None]).astype(np.float32)
+    flight = Flight(np.zeros((n, 3), np.float32), direction, RayKind.DIFFUSE, np.ones((n, 3), np.float32))
+
+    def reflect(at, rng):
+        keep = np.arange(len(at.weight))[::2] if at.segments == 2 else np.arange(len(at.weight))
+        normal, d = at.surface.ng[keep], at.direction[keep]
+        d = d - 2 * (d * normal).sum(axis=1)[:, None] * normal
+        origin = world.leave(at.surface.take(keep))
+        return Scattered(keep, Flight(origin, d, RayKind.GLOSSY, at.weight[keep] / 2))
+
+    rows = []
+    for segment in shoot(world, flight, most, reflect, rng):
+        assert not len(segment.away) and segment.rays == len(segment.row)
+        assert np.allclose(segment.arrived.weight, 0.5 ** (segment.arrived.segments - 1))
+        assert (np.einsum("ij,ij->i", segment.arrived.surface.ng, segment.arrived.direction) < 0).all()
+        rows.append(segment.row)
+    assert len(rows) == most
+    assert (rows[1] == np.arange(n)).all() and all((r == np.arange(n)[::2]).all() for r in rows[2:])
+
+
+def test_what_is_met_too_near_or_too_far_on_the_first_segment_escapes():
+    world = World(scenes.cube())
+    origin, direction = np.zeros((3, 3), np.float32), np.repeat(np.float32([[0, 0, 1]]), 3, axis=0)
+    flight = Flight(origin, direction, RayKind.SHADOW, np.ones((3, 3), np.float32))
+    none = np.zeros(0, np.int64)
+
+    def absorb(at, rng):
+        return Scattered(none, Flight(origin[none], direction[none], RayKind.DIFFUSE, flight.weight[none]))
+
+    dark, reach = np.float32([0, 0.6, 0]), np.float32([2, 2, 0.4])
+    (segment,) = shoot(world, flight, 3, absorb, np.random.default_rng(0), dark, reach)
+    assert segment.row.tolist() == [0] and segment.away.tolist() == [1, 2] and segment.lost.shape == (2, 3)
