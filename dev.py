@@ -137,7 +137,7 @@ def environment(folder: Path, blender: Blender) -> Path:
     # Editable: the environment always runs the code of this checkout.
     if run([python, "-m", "pip", "install", *PIP, *requirements, "--editable", ROOT]):
         raise DevError("pip could not install the requirements: see its message above")
-    if run([python, "-c", "import bpy, embreex, OpenEXR"], 300):
+    if run([python, "-c", "import bpy, embreex, OpenEXR, xatlas"], 300):
         raise DevError(
             "the installed libraries do not load: see the message above. On Debian, bpy needs the packages "
             "libegl1 libgl1 libsm6 libxext6 libxfixes3 libxi6 libxkbcommon0 libxrender1 libxxf86vm1"
@@ -155,7 +155,7 @@ def main_environment() -> Path:
 
 
 def packages(version: tuple[int, int]) -> Path:
-    """Fill the folder that `tests/run.py` adds to a real Blender's path: pytest, embreex, OpenEXR, and numpy of that Blender's age."""
+    """Fill the folder that `tests/run.py` adds to a real Blender's path: pytest, the project's libraries, numpy of that Blender's age."""
     folder = packages_folder(version)
     wanted = (TOOLS[0], *(d for d in project()["dependencies"] if not d.startswith("numpy")))
     stamp = "\n".join(wanted)

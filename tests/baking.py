@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from adjgi.adjoint_gi.bridge.baking.bake import ABOUT, Bake, BakeRequest
 from adjgi.adjoint_gi.bridge.results.image import linked_image, read_pixels
-from adjgi.adjoint_gi.bridge.results.lightmap_uv import STORED
+from adjgi.adjoint_gi.bridge.results.lightmap_uv import SHARED, STORED
 from adjgi.adjoint_gi.bridge.results.links import RESULTS, link
 from adjgi.adjoint_gi.core.base.errors import AdjointError
 from adjgi.adjoint_gi.core.method import registry
@@ -286,7 +286,7 @@ def _mesh(mesh: bpy.types.Mesh) -> tuple[object, ...]:
         _digest(mesh.polygons, "material_index", 1),
     ]
     materials = [m.name if m else None for m in mesh.materials]
-    return geometry, layers, colors, materials, {k: str(v) for k, v in mesh.items() if k not in (STORED, ABOUT)}
+    return geometry, layers, colors, materials, {k: str(v) for k, v in mesh.items() if k not in (STORED, SHARED, ABOUT)}
 
 
 def _digest(items: object, name: str, width: int) -> str:

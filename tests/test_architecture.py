@@ -26,7 +26,7 @@ UNSAFE = {"pickle", "_pickle", "cPickle", "marshal", "shelve", "dill", "joblib",
 
 # folder -> (libraries beyond Python's own, parts of ours) that its files may import
 RULES = {
-    "adjoint_gi/core": ({"numpy", "embreex", "OpenEXR"}, {"adjoint_gi/core"}),
+    "adjoint_gi/core": ({"numpy", "embreex", "OpenEXR", "xatlas"}, {"adjoint_gi/core"}),
     "solvers": ({"numpy"}, {"solvers", "adjoint_gi/core"}),
     "adjoint_gi/bridge": ({"numpy", *BLENDER}, {"adjoint_gi/bridge", "adjoint_gi/core", "solvers", ""}),
     "operators": (BLENDER, {"operators", "adjoint_gi/bridge", ""}),

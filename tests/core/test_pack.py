@@ -1,13 +1,12 @@
-"""Packing of rectangles and unwrapping of meshes, without Blender."""
+"""Packing of rectangles and of charts, without Blender."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import TargetError
-from adjgi.adjoint_gi.core.receivers.pack import pack_charts, place_objects, shelves
-from adjgi.adjoint_gi.core.receivers.unwrap import unwrap
-from adjgi.tests.scenes import icosphere
+from adjgi.adjoint_gi.core.receivers.charts import Charts
+from adjgi.adjoint_gi.core.receivers.pack import pack_again, pack_charts, pack_on_shelves, pack_tightly, place_objects, shelves
 
 
 def painted(place, size, width, height, gap):
@@ -63,22 +62,41 @@ def test_objects_of_an_atlas_stand_apart_on_whole_texels():
     assert size[1, 0] == pytest.approx(2 * size[0, 0], abs=1) and size[3].min() >= 1
 
 
-def test_a_flat_sheet_of_many_triangles_is_one_chart_without_distortion():
-    n = 30
-    x, y = (a.ravel() for a in np.meshgrid(np.arange(n + 1.0), np.arange(n + 1.0)))
-    turn = np.array([[0.6, 0.0, 0.8], [0.48, 0.8, -0.36]])  # orthonormal rows
-    vertices = np.stack([x, y], 1) @ turn
-    i = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
-    tri = np.concatenate([np.stack([i, i + 1, i + n + 2], 1), np.stack([i, i + n + 2, i + n + 1], 1)])
-    uv, charts = unwrap(vertices, tri, np.tile(np.arange(n * n), 2), (256, 256), 2)
-    assert charts == 1
-    length = np.linalg.norm(uv[:, 1] - uv[:, 0], axis=1) / np.linalg.norm(vertices[tri[:, 1]] - vertices[tri[:, 0]], axis=1)
-    assert np.ptp(length) / length.mean() < 1e-4
-    assert uv.min() >= 0 and uv.max() <= 1 and np.ptp(uv[..., 0]) > 0.95
+def rectangles(extent):
+    """Charts of two triangles each, as large as `extent` (n, 2) metres."""
+    corner = np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]])
+    xy = corner[None] * np.asarray(extent)[:, None, None]
+    return Charts(xy.reshape(-1, 3, 2), np.repeat(np.arange(len(extent)), 2))
 
 
-def test_a_sphere_has_few_charts_and_the_same_every_time():
-    vertices, triangles = icosphere(3)
-    first, charts = unwrap(vertices, triangles, np.arange(len(triangles)), (512, 512), 4)
-    assert charts <= 12
-    assert np.array_equal(first, unwrap(vertices, triangles, np.arange(len(triangles)), (512, 512), 4)[0])
+def spaces(uv, chart, size):
+    """Chebyshev distances in texels between the bounding boxes of all pairs of rectangular charts."""
+    low = np.array([uv[chart == k].min(axis=(0, 1)) for k in range(chart.max() + 1)]) * size
+    high = np.array([uv[chart == k].max(axis=(0, 1)) for k in range(chart.max() + 1)]) * size
+    apart = np.maximum(low[:, None] - high[None], low[None] - high[:, None]).max(axis=2)
+    return apart[np.triu_indices(len(low), 1)]
+
+
+@pytest.mark.parametrize("pack", [pack_on_shelves, pack_tightly, lambda *a: pack_again(*a, pack_tightly(*a)[1])])
+@pytest.mark.parametrize("gap", [0, 1, 3, 4])
+def test_packed_charts_stand_apart_at_one_scale_inside_the_square(pack, gap):
+    extent = np.random.default_rng(5).uniform(0.5, 3, (30, 2))
+    charts = rectangles(extent)
+    uv, scale = pack(charts, 256, gap)
+    assert uv.dtype == np.float32 and uv.min() >= 0 and uv.max() <= 1
+    assert spaces(uv, charts.chart, 256).min() > gap - 1e-3
+    size = np.array([np.ptp(uv[charts.chart == k].reshape(-1, 2), axis=0) for k in range(30)]) * 256
+    # Whole texels: up to one more than the scale says. A chart may lie on its side.
+    assert np.all(np.abs(np.sort(size, axis=1) - np.sort(extent, axis=1) * scale) < 1.01)
+
+
+def test_shapes_are_packed_closer_than_their_rectangles():
+    triangles = np.random.default_rng(3).uniform(0, 2, (60, 3, 2))
+    charts = Charts(triangles, np.arange(60))
+    assert pack_tightly(charts, 512, 2)[1] > 1.15 * pack_on_shelves(charts, 512, 2)[1]
+
+
+@pytest.mark.parametrize("pack", [pack_on_shelves, pack_tightly])
+def test_too_many_charts_do_not_fit(pack):
+    with pytest.raises(TargetError, match="100 UV islands do not fit into 16 x 16"):
+        pack(rectangles(np.ones((100, 2))), 16, 4)

@@ -33,7 +33,9 @@ def belongs(wheel: str, platform: str) -> bool:
 def test_versions_agree():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert project["version"] == MANIFEST["version"]
-    assert f"embreex=={next(iter(SUMS)).split('-')[1]}" in project["dependencies"]
+    for library in ("embreex", "xatlas"):
+        (version,) = {name.split("-")[1] for name in SUMS if name.startswith(library + "-")}
+        assert f"{library}=={version}" in project["dependencies"]
 
 
 def test_manifest_lists_the_pinned_wheels():
@@ -41,7 +43,7 @@ def test_manifest_lists_the_pinned_wheels():
 
 
 @pytest.mark.parametrize("platform", MANIFEST["platforms"])
-@pytest.mark.parametrize("library", ["embreex", "openexr"])
+@pytest.mark.parametrize("library", ["embreex", "openexr", "xatlas"])
 @pytest.mark.parametrize("python", ["cp311", "cp313"])
 def test_every_platform_and_python_has_each_library(platform, library, python):
     found = [name for name in SUMS if name.startswith(library + "-") and f"-{python}-{python}-" in name and belongs(name, platform)]

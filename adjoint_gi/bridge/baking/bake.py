@@ -44,7 +44,15 @@ from ..results import preview
 from ..results.attribute import write_attribute
 from ..results.elements import write_elements
 from ..results.image import linked_image, write_image
-from ..results.lightmap_uv import check_uv_layer, find_uv_layer, make_lightmap_uv, remove_lightmap_uv
+from ..results.lightmap_uv import (
+    check_uv_layer,
+    find_uv_layer,
+    in_one_square,
+    make_lightmap_uvs,
+    paddings,
+    remove_lightmap_uv,
+    shares_square,
+)
 from . import outputs, report
 from .preflight import has_own_layer, inspect, look, ordered, picture_size, preflight, receiving
 
@@ -92,11 +100,12 @@ class Bake:
             files.output_folder(request.output)  # only writing there tells whether it can be done
 
         # Step 2: UV layers that are missing are made; then the scene has to be read again.
+        self._made: list[Notice] = []
         if request.target == "texture" and not request.uv_layer and self._make_layers(context, world):
             world = World(self._extract(context))
 
         # Step 3: receivers and the driver.
-        self.notices = [n for n in notices if n.severity != "error"]
+        self.notices = [n for n in notices if n.severity != "error"] + self._made
         self._sheets: list[Sheet] = []
         self._vertices: VertexMap | None = None
         self._nodes: ElementNodes | None = None
@@ -143,36 +152,38 @@ class Bake:
         return extract(depsgraph, context.scene, picture_size(context.scene, self.request))
 
     def _make_layers(self, context: bpy.types.Context, world: World) -> bool:
-        """Make our UV layer on the meshes that receive and lack it; whether any mesh changed. All of them get one, or none."""
-        made: list[bpy.types.Object] = []
-        for index in receiving(world.scene, self.request):
-            item = world.scene.objects[index]
-            obj = find_objects((item.uid,), item.source)[0]
-            if has_own_layer(obj.data):
-                continue
-            try:
-                self._make_layer(obj)
-            except AdjointError:
-                for other in made:
-                    remove_lightmap_uv(other)
-                raise
-            made.append(obj)
-        if made:
-            context.view_layer.update()
-        return bool(made)
+        """Make our UV layer on the meshes that receive and lack it; whether any mesh changed. All of them get one, or none.
 
-    def _make_layer(self, obj: bpy.types.Object) -> None:
-        """Unwrap `obj` with as much space between its islands as there is room for, four texels at most."""
+        Those of an atlas share one square, unless some objects share a mesh or have a layer from before: then each has its own.
+        """
+        group = receiving(world.scene, self.request)
+        objects = [find_objects((world.scene.objects[i].uid,), world.scene.objects[i].source)[0] for i in group]
+        first = {obj.data: (i, obj) for i, obj in reversed(list(zip(group, objects, strict=True)))}
+        lacking = [pair for mesh, pair in first.items() if not has_own_layer(mesh)]
         size = self.request.resolution
-        for padding in (4, 2, 1, 0):
-            if padding > max(1, size // 128):
-                continue
-            try:
-                make_lightmap_uv(obj, resolution=size, padding=padding)
-                return
-            except TargetError:
-                if padding == 0:
+        if self.request.atlas and len(lacking) == len(objects):
+            self._made += make_lightmap_uvs(objects, size, paddings(size))
+        else:
+            sides = {i: size for i in group}
+            if self.request.atlas:
+                sides = {i: round(place.scale[0] * size) for i, place in self._squares(world, group).items()}
+            made: list[bpy.types.Object] = []
+            for index, obj in lacking:
+                try:
+                    self._made += make_lightmap_uvs([obj], sides[index], paddings(sides[index]))
+                except AdjointError:
+                    for other in made:
+                        remove_lightmap_uv(other)
                     raise
+                made.append(obj)
+        if lacking:
+            context.view_layer.update()
+        return bool(lacking)
+
+    def _squares(self, world: World, group: list[int]) -> dict[int, Placement]:
+        """A square of the atlas for each object of `group`, by its area."""
+        area = {i: float(world.area[world.scene.objects[i].triangles].sum()) for i in group}
+        return place_objects(area, (self.request.resolution, self.request.resolution), max(1, min(8, self.request.margin)))
 
     def _receivers(self, context: bpy.types.Context, world: World) -> Receivers:
         request = self.request
@@ -199,14 +210,15 @@ class Bake:
         uids = tuple(o.uid for o in objects)
         depsgraph = context.evaluated_depsgraph_get()
         layers = []
-        for obj in find_objects(uids, objects[0].source):
+        found = find_objects(uids, objects[0].source)
+        for obj in found:
             layers.append(find_uv_layer(obj, request.uv_layer))
             self.notices += check_uv_layer(obj, layers[-1], depsgraph)
         placement: dict[int, Placement] = {}
-        if request.atlas and not request.uv_layer:
-            # Our layers fill their unit square each. A layer that the user names is taken as packed for the atlas already.
-            area = {i: float(world.area[world.scene.objects[i].triangles].sum()) for i in group}
-            placement = place_objects(area, (request.resolution, request.resolution), max(1, min(8, request.margin)))
+        if not request.uv_layer and not (request.atlas and in_one_square(found)):
+            self.notices += [_in_part(obj) for obj in found if shares_square(obj)]
+            # A layer that the user names is taken as packed for the atlas already.
+            placement = self._squares(world, group) if request.atlas else {}
         layer_of = dict(zip(group, layers, strict=True))
         lightmap = rasterize(world, group, layer_of, request.resolution, request.subsamples, placement)
         self.notices += lightmap.warnings
@@ -319,6 +331,13 @@ def sheet_image(sheet: Sheet, values: np.ndarray, weight: np.ndarray, margin: in
     has = lightmap.image((weight[sheet.part] > 0).astype(np.float32))[..., 0] > 0
     image, _ = fill_margin(lightmap.image(values[sheet.part]), has, margin)
     return image, np.where(has, lightmap.share, np.float32(0))
+
+
+def _in_part(obj: bpy.types.Object) -> Notice:
+    """Said of a layer that was packed with others and is used without them."""
+    layer = find_uv_layer(obj, "")
+    reason = f'its UV layer "{layer}" was made for an atlas with other objects, so it fills only a part of the image'
+    return Notice(obj.name, reason, "Bake all of them in one atlas, or delete the layer to have one made that fills the image", "info")
 
 
 def find_objects(uids: tuple[int, ...], name: str) -> list[bpy.types.Object]:

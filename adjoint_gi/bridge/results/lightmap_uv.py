@@ -6,14 +6,20 @@ the mesh's arrays (`core.receivers.unwrap`) and written in one go. It is the sam
 
 from __future__ import annotations
 
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import bpy
 import numpy as np
 
 from ...core.base.errors import Notice, SceneError, TargetError
-from ...core.receivers.unwrap import unwrap
+from ...core.receivers.charts import Mesh, carry
+from ...core.receivers.unwrap import Unwrapped, unwrap
 from . import links as targets
 
 STORED = "adjoint_gi_uv"  # custom property of the mesh: name of the layer made by us
+SHARED = "adjoint_gi_uv_atlas"  # custom property of the mesh: which square its layer shares with others, and its number there
 NAME = "Lightmap"  # what such a layer is called where nothing else is
 MOST = 8  # UV layers of a Blender mesh
 MULTIPLIES = {"ARRAY", "MIRROR", "SCREW", "SOLIDIFY", "BOOLEAN", "NODES", "REMESH", "SKIN", "BEVEL", "EXPLODE", "BUILD"}
@@ -38,34 +44,61 @@ def find_uv_layer(obj: bpy.types.Object, name: str) -> str:
     return chosen
 
 
-def make_lightmap_uv(obj: bpy.types.Object, name: str = NAME, resolution: int | tuple[int, int] = 512, padding: int = 4) -> str:
-    """Make (or renew) our UV layer on the original mesh of `obj` and return its name.
+def make_lightmap_uv(obj: bpy.types.Object, name: str = NAME, resolution: int = 512, padding: int = 4) -> str:
+    """Make (or renew) our UV layer on the original mesh of `obj` and return its name; see `make_lightmap_uvs`."""
+    make_lightmap_uvs([obj], resolution, (padding,), name)
+    return obj.data[STORED]
 
-    Charts do not overlap and lie `padding` texels apart in an image of `resolution`. Objects that share the mesh share the layer; each
-    of them gets its own image. The active and the render layer, the selection and everything else stay as they are. Raises
-    TargetError for a linked mesh, edit mode, a ninth layer, or more charts than fit; SceneError for a mesh that has no usable face.
+
+def make_lightmap_uvs(objects: Sequence[bpy.types.Object], resolution: int, paddings: Sequence[int], name: str = NAME) -> list[Notice]:
+    """Make (or renew) our UV layers on the original meshes of `objects`, packed into one square that all of them share.
+
+    Charts do not overlap and lie as many texels apart in an image of `resolution` as the first of `paddings` that fits. Objects that share
+    a mesh share the layer; each mesh may be given once. The active and the render layer, the selection and everything else stay as they
+    are. All meshes get their layer, or none. Returns what there is to say. Raises TargetError for a linked mesh, edit mode, a ninth
+    layer, or more charts than fit; SceneError for a mesh that has no usable face.
     """
-    targets.check_mesh(obj)
-    mesh = obj.data
-    size = (resolution, resolution) if isinstance(resolution, int) else resolution
-    old = mesh.get(STORED)
-    renew = isinstance(old, str) and old in mesh.uv_layers
-    if not renew and len(mesh.uv_layers) >= MOST:
-        raise TargetError(obj.name, f"has {MOST} UV layers already, the most a mesh can hold", "Remove one, or choose one for the lightmap")
-    uv = _unwrapped(obj, size, padding)
+    for obj in objects:
+        targets.check_mesh(obj)
+        if not _own(obj.data) and len(obj.data.uv_layers) >= MOST:
+            reason = f"has {MOST} UV layers already, the most a mesh can hold"
+            raise TargetError(obj.name, reason, "Remove one, or choose one for the lightmap")
+    faces = [_read(obj) for obj in objects]
+    try:
+        unwrapped = unwrap([face.mesh for face in faces], resolution, paddings)
+    except TargetError as error:
+        raise TargetError(_listed(objects), error.notice.reason, error.notice.remedy) from error
+    written: list[bpy.types.Object] = []
+    try:
+        for obj, face, uv in zip(objects, faces, unwrapped.uvs, strict=True):
+            written.append(obj)
+            _write_layer(obj, name, face.spread(uv))
+    except TargetError:
+        for obj in written:
+            remove_lightmap_uv(obj)
+        raise
+    _mark_shared(objects, unwrapped)
+    return _notices(objects, unwrapped)
 
-    active, render = mesh.uv_layers.active_index, next((i for i, x in enumerate(mesh.uv_layers) if x.active_render), -1)
-    layer = mesh.uv_layers[old] if renew else mesh.uv_layers.new(name=name, do_init=False)
-    if layer is None:
-        raise TargetError(obj.name, f'UV layer "{name}" could not be added', "Remove another UV layer")
-    made = layer.name
-    layer.uv.foreach_set("vector", uv.ravel())
-    mesh[STORED] = made
-    if render >= 0:
-        mesh.uv_layers.active_index = active
-        mesh.uv_layers[render].active_render = True
-    mesh.update()
-    return made
+
+def paddings(resolution: int) -> tuple[int, ...]:
+    """Texels to keep free between charts, the most first: as many as there is room for in an image of `resolution`, four at most."""
+    return tuple(padding for padding in (4, 2, 1, 0) if padding <= max(1, resolution // 128))
+
+
+def in_one_square(objects: Sequence[bpy.types.Object]) -> bool:
+    """Whether the layers made by us on `objects` were packed together, so that no two of them lie on one another."""
+    places = [str(obj.data.get(SHARED, "")).split("/") for obj in objects]
+    return (
+        all(len(place) == 2 for place in places)
+        and len({square for square, _ in places}) == 1
+        and len({n for _, n in places}) == len(places)
+    )
+
+
+def shares_square(obj: bpy.types.Object) -> bool:
+    """Whether the layer made by us on `obj` was packed with those of other objects, so that it fills only a part of the image."""
+    return SHARED in obj.data
 
 
 def remove_lightmap_uv(obj: bpy.types.Object) -> bool:
@@ -83,6 +116,8 @@ def remove_lightmap_uv(obj: bpy.types.Object) -> bool:
         if render in mesh.uv_layers:
             mesh.uv_layers[render].active_render = True
     del mesh[STORED]
+    if SHARED in mesh:
+        del mesh[SHARED]
     return True
 
 
@@ -104,8 +139,101 @@ def check_uv_layer(obj: bpy.types.Object, name: str, depsgraph: bpy.types.Depsgr
     return ()
 
 
-def _unwrapped(obj: bpy.types.Object, resolution: tuple[int, int], padding: int) -> np.ndarray:
-    """(corners, 2) float32 UV of the original mesh, in the object's size in the world so that texels are as large on all sides."""
+def _own(mesh: bpy.types.Mesh) -> str:
+    """Name of the layer made by us, empty where there is none."""
+    name = mesh.get(STORED)
+    return name if isinstance(name, str) and name in mesh.uv_layers else ""
+
+
+def _write_layer(obj: bpy.types.Object, name: str, uv: np.ndarray) -> None:
+    """Write `uv` (corners, 2) float32 to our layer, made as `name` where there is none. Raises TargetError."""
+    mesh = obj.data
+    active, render = mesh.uv_layers.active_index, next((i for i, x in enumerate(mesh.uv_layers) if x.active_render), -1)
+    old = _own(mesh)
+    layer = mesh.uv_layers[old] if old else mesh.uv_layers.new(name=name, do_init=False)
+    if layer is None:
+        raise TargetError(obj.name, f'UV layer "{name}" could not be added', "Remove another UV layer")
+    made = layer.name
+    layer.uv.foreach_set("vector", uv.ravel())
+    mesh[STORED] = made
+    if render >= 0:
+        mesh.uv_layers.active_index = active
+        mesh.uv_layers[render].active_render = True
+    mesh.update()
+
+
+def _mark_shared(objects: Sequence[bpy.types.Object], unwrapped: Unwrapped) -> None:
+    """Note on the meshes that their layers lie in one square; a single object has its own."""
+    square = zlib.crc32(b"".join(uv.tobytes() for uv in unwrapped.uvs))
+    for number, obj in enumerate(objects):
+        if len(objects) > 1:
+            obj.data[SHARED] = f"{square:08x}/{number}"
+        elif SHARED in obj.data:
+            del obj.data[SHARED]
+
+
+def _listed(objects: Sequence[bpy.types.Object]) -> str:
+    names = [obj.name for obj in objects]
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+
+
+def _notices(objects: Sequence[bpy.types.Object], unwrapped: Unwrapped) -> list[Notice]:
+    """What the user should know of how it was unwrapped."""
+    if not unwrapped.projected:
+        return []
+    reason = f"the lightmap UVs are made by projection, which fills less of the image, because {unwrapped.projected}"
+    return [Notice(_listed(objects), reason, "Raise the resolution, or unwrap it yourself and name the UV layer", "info")]
+
+
+@dataclass(frozen=True, eq=False)
+class Faces:
+    """The triangles of a Blender mesh, in the object's size in the world so that texels are as large on all sides.
+
+    mesh        what is unwrapped: the triangles that have an area and a position
+    point       (nt, 3, 3) float64 positions of the corners of all triangles
+    corners     (nt, 3) int32 corners (loops) of the Blender mesh
+    polygon     (nt,) int32 face of each triangle
+    area, good  (nt,) float64 and bool: twice the area, and whether it is a triangle of `mesh`
+    count       number of corners of the Blender mesh
+    """
+
+    mesh: Mesh
+    point: np.ndarray
+    corners: np.ndarray
+    polygon: np.ndarray
+    area: np.ndarray
+    good: np.ndarray
+    count: int
+
+    def spread(self, uv: np.ndarray) -> np.ndarray:
+        """(count, 2) float32 UV of all corners from `uv` (n, 3, 2) of the triangles of `mesh`.
+
+        Faces without an area or a position get the corner of the image and no texel, as in the extraction.
+        """
+        out = np.zeros((self.count, 2), np.float32)
+        out[self.corners[self.good]] = uv
+        self._carry_on(out)
+        return out
+
+    def _carry_on(self, out: np.ndarray) -> None:
+        """Give corners that only flat triangles have the place to which the largest triangle of their face maps them.
+
+        A modifier may cut the face along another diagonal, and then these corners are those of triangles with an area.
+        """
+        own = np.zeros(len(out), bool)
+        own[self.corners[self.good]] = True
+        which, k = np.nonzero(~self.good[:, None] & ~own[self.corners] & np.isfinite(self.point).all(axis=2))
+        order = np.flatnonzero(self.good)[np.argsort(self.area[self.good], kind="stable")]
+        largest = np.full(int(self.polygon.max(initial=-1)) + 1, -1)
+        largest[self.polygon[order]] = order  # the last of equal indices stays
+        base = largest[self.polygon[which]]
+        which, k, base = which[base >= 0], k[base >= 0], base[base >= 0]
+        uv = out[self.corners[base]].astype(np.float64)
+        out[self.corners[which, k]] = carry(self.point[base], uv, self.point[which, k][:, None])[:, 0]
+
+
+def _read(obj: bpy.types.Object) -> Faces:
+    """The faces of the original mesh of `obj`; raises SceneError where none can be unwrapped."""
     mesh = obj.data
     if not mesh.polygons:
         raise SceneError(obj.name, "has no faces to unwrap", "Give it faces")
@@ -119,40 +247,12 @@ def _unwrapped(obj: bpy.types.Object, resolution: tuple[int, int], padding: int)
     loops.foreach_get("loops", corners)
     loops.foreach_get("polygon_index", polygon)
     triangles, corners = triangles.reshape(-1, 3), corners.reshape(-1, 3)
-
-    # Faces without an area or a position get the corner of the image and no texel, as in the extraction.
     with np.errstate(invalid="ignore", over="ignore"):
-        p = vertices[triangles]
-        good = np.isfinite(p).all(axis=(1, 2)) & (np.abs(np.nan_to_num(p)).max(axis=(1, 2)) <= 1e12)
-        area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+        point = vertices[triangles]
+        good = np.isfinite(point).all(axis=(1, 2)) & (np.abs(np.nan_to_num(point)).max(axis=(1, 2)) <= 1e12)
+        area = np.linalg.norm(np.cross(point[:, 1] - point[:, 0], point[:, 2] - point[:, 0]), axis=1)
         good &= area > 0
     if not good.any():
         raise SceneError(obj.name, "has no face with an area", "Give it faces with an area, and no scale of 0")
-    uv, _ = unwrap(np.where(np.isfinite(vertices), vertices, 0.0), triangles[good], polygon[good], resolution, padding)
-    out = np.zeros((len(mesh.loops), 2), np.float32)
-    out[corners[good]] = uv
-    _carry_on(out, vertices[triangles], corners, polygon, area, good)
-    return out
-
-
-def _carry_on(out: np.ndarray, p: np.ndarray, corners: np.ndarray, polygon: np.ndarray, area: np.ndarray, good: np.ndarray) -> None:
-    """Give corners that only flat triangles have the place in `out` (corners, 2) to which the largest triangle of their face maps them.
-
-    A modifier may cut the face along another diagonal, and then these corners are those of triangles with an area.
-    """
-    own = np.zeros(len(out), bool)
-    own[corners[good]] = True
-    which, k = np.nonzero(~good[:, None] & ~own[corners] & np.isfinite(p).all(axis=2))
-    order = np.flatnonzero(good)[np.argsort(area[good], kind="stable")]
-    largest = np.full(int(polygon.max(initial=-1)) + 1, -1)
-    largest[polygon[order]] = order  # the last of equal indices stays
-    base = largest[polygon[which]]
-    which, k, base = which[base >= 0], k[base >= 0], base[base >= 0]
-    # Barycentric coordinates (s, t) of the corner in that triangle, by the normal equations.
-    e1, e2, d = p[base, 1] - p[base, 0], p[base, 2] - p[base, 0], p[which, k] - p[base, 0]
-    a, b, c = (np.einsum("ij,ij->i", x, y) for x, y in ((e1, e1), (e1, e2), (e2, e2)))
-    u, v = np.einsum("ij,ij->i", d, e1), np.einsum("ij,ij->i", d, e2)
-    det = np.maximum(a * c - b * b, 1e-300)
-    s, t = (c * u - b * v) / det, (a * v - b * u) / det
-    uv = out[corners[base]].astype(np.float64)
-    out[corners[which, k]] = uv[:, 0] + s[:, None] * (uv[:, 1] - uv[:, 0]) + t[:, None] * (uv[:, 2] - uv[:, 0])
+    flat = Mesh(np.where(np.isfinite(vertices), vertices, 0.0), triangles[good].astype(np.int64), polygon[good])
+    return Faces(flat, point, corners, polygon, area, good, len(mesh.loops))

@@ -1,157 +1,106 @@
-"""Unwrapping for lightmaps: a mesh is cut into pieces that face one way, each is laid flat, and all are packed without overlap.
+"""Unwrapping for lightmaps: meshes in, UV coordinates of one common square out, without overlap and at one scale.
 
-Distances on a flat piece are kept, on a curved one shortened by at most the cosine of the angle between a face and the direction of
-projection. The result depends on the arrays alone: the same mesh gives the same UVs in every version.
+Charts and packing are those of xatlas, checked by the raster of the bake itself. What fails is mended: charts that lie over themselves
+are cut, too narrow a packing is padded more. What still fails is unwrapped by projection and packed on shelves. The result depends on
+the arrays alone: the same meshes give the same UVs.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
-from ..scene.arrays import Material, ObjectArrays, SceneArrays
-from ..scene.topology import components, edge_pairs, weld
-from ..scene.world import World
-from .pack import pack_charts
-from .texels import rasterize
+from ..base.errors import TargetError
+from .charts import Charts, Mesh, islands, join
+from .conformal import cut_off, make_charts
+from .pack import pack_again, pack_on_shelves, pack_tightly
+from .projection import pieces, project
+from .uv_check import Faults, check
 
-CREASE = np.cos(np.radians(60))  # a sharper edge parts charts, so that light does not bleed around it
-FLAT = np.cos(np.radians(3))  # how far faces of one flat piece may turn from its mean
-STEEP = 0.5  # cosine: a face that turns further from the direction of projection is projected along the main axis instead
-CHECKED = 2048  # texels a side at which pieces that lie over themselves are looked for
-ANGLES = 24  # directions in which the tightest rectangle around a chart is sought
+TRIES = 4  # packings that are checked before the other way of unwrapping is taken
 
 
-def unwrap(
-    vertices: np.ndarray, triangles: np.ndarray, polygon: np.ndarray, resolution: tuple[int, int], padding: int
-) -> tuple[np.ndarray, int]:
-    """(nt, 3, 2) float32 UV coordinates for `triangles` (nt, 3) of `vertices` (nv, 3) and the number of charts.
+@dataclass(frozen=True, eq=False)
+class Unwrapped:
+    """UV layers of several meshes that share one square.
 
-    Triangles of one `polygon` (nt,) stay together. `padding` texels of an image of `resolution` stay free between charts. Raises
-    TargetError when there are more charts than fit.
+    uvs              (nt, 3, 2) float32 for each mesh
+    texels_per_metre scale of all charts, in an image of the resolution that was asked for
+    padding          texels that are free between charts
+    charts           number of charts
+    covered          share of the texels that are covered
+    projected        why the charts are our own projections; empty where they are those of xatlas
     """
-    vertices = np.asarray(vertices, np.float64)
-    pieces, normal, area = _pieces(vertices, np.asarray(triangles), np.asarray(polygon))
-    for attempt in range(3):
-        uv, chart = _lay_out(vertices, triangles, pieces, normal, area, resolution, padding)
-        clashing = _clashing(vertices, triangles, uv, resolution) if attempt < 2 else np.zeros(0, int)
-        if not len(clashing):
+
+    uvs: tuple[np.ndarray, ...]
+    texels_per_metre: float
+    padding: int
+    charts: int
+    covered: float
+    projected: str
+
+
+def unwrap(meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int]) -> Unwrapped:
+    """Unwrap `meshes` into one square image of `resolution` texels, with the first of `paddings` (texels between charts) that fits.
+
+    Raises TargetError when there are more charts than fit.
+    """
+    try:
+        return _first_that_fits(meshes, [make_charts(mesh) for mesh in meshes], resolution, paddings, "")
+    except _Unfit as failure:
+        reason = str(failure)
+    except TargetError as error:
+        reason = error.notice.reason
+    return _first_that_fits(meshes, [_projected(mesh) for mesh in meshes], resolution, paddings, reason)
+
+
+def _projected(mesh: Mesh) -> Charts:
+    """Our own charts, with those apart that do not hang together."""
+    charts = project(mesh, pieces(mesh))
+    return Charts(charts.xy, islands(mesh, charts.xy, charts.chart))
+
+
+class _Unfit(Exception):
+    """Charts that did not pass the check after TRIES packings; says what is wrong with them."""
+
+
+def _first_that_fits(meshes: Sequence[Mesh], charts: list[Charts], resolution: int, paddings: Sequence[int], projected: str) -> Unwrapped:
+    """The charts packed with the first padding that fits. Raises TargetError or, for charts of xatlas, _Unfit."""
+    for padding in paddings[:-1]:
+        try:
+            return _checked(meshes, charts, resolution, padding, projected)
+        except TargetError:
+            continue
+    return _checked(meshes, charts, resolution, paddings[-1], projected)
+
+
+def _checked(meshes: Sequence[Mesh], charts: list[Charts], resolution: int, padding: int, projected: str) -> Unwrapped:
+    """Pack, check and mend, a few times. Raises TargetError or, for charts of xatlas, _Unfit."""
+    gap, scale = padding, 0.0
+    for _ in range(TRIES):
+        if projected:
+            uv, scale = pack_on_shelves(join(charts), resolution, gap)
+        elif scale:
+            uv, scale = pack_again(join(charts), resolution, gap, scale)
+        else:
+            uv, scale = pack_tightly(join(charts), resolution, gap)
+        faults = check(meshes, uv, resolution, padding)
+        if not faults:
             break
-        # A piece that lies over itself (a spiral stair, say) is cut: into its polygons.
-        broken = np.isin(chart, np.unique(chart[clashing]))
-        _, single = np.unique(polygon, return_inverse=True)
-        pieces = np.where(broken, pieces.max() + 1 + single.reshape(-1), pieces)
-    return uv, int(chart.max(initial=-1)) + 1
+        charts = _mended(meshes, charts, faults)
+        gap += 1 if faults.close else 0
+    else:
+        if not projected:
+            raise _Unfit(f"the charts of xatlas have {faults}")
+    stops = np.cumsum([len(mesh.triangles) for mesh in meshes])[:-1]
+    return Unwrapped(tuple(np.split(uv, stops)), scale, padding, faults.charts, faults.covered / resolution**2, projected)
 
 
-def _pieces(vertices: np.ndarray, triangles: np.ndarray, polygon: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Chart label (nt,) of each triangle, its polygon's unit normal (nt, 3), and its own area (nt,)."""
-    p = vertices[triangles]
-    cross = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    area = 0.5 * np.linalg.norm(cross, axis=1)
-    _, poly = np.unique(polygon, return_inverse=True)
-    poly = poly.reshape(-1)
-    normal = _mean_normal(cross, poly)[poly]
-
-    # Step 1: flat pieces, as far as they stay flat: their faces get one direction together, so rounding cannot part them.
-    a, b = edge_pairs(weld(vertices)[triangles])
-    within = poly[a] == poly[b]
-    turn = np.einsum("ij,ij->i", normal[a], normal[b])
-    flat = components(len(triangles), *_joined(poly, a[within | (turn > FLAT)], b[within | (turn > FLAT)]))
-    mean = _mean_normal(cross, flat)
-    worst = np.ones(len(mean))
-    np.minimum.at(worst, flat, np.einsum("ij,ij->i", mean[flat], normal))
-    direction = np.where((worst > FLAT)[flat][:, None], mean[flat], normal)
-
-    # Step 2: the main axis each face looks along; neighbours with the same one and no crease between them make a chart.
-    rounded = np.round(direction, 5)
-    axis = np.argmax(np.concatenate([rounded, -rounded], axis=1), axis=1)
-    same = within | ((axis[a] == axis[b]) & (turn > CREASE))
-    return components(len(triangles), *_joined(poly, a[same], b[same])), normal, area
-
-
-def _joined(poly: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The pairs a - b, and pairs that tie the triangles of each polygon together."""
-    order = np.argsort(poly, kind="stable")
-    same = poly[order][1:] == poly[order][:-1]
-    return np.concatenate([a, order[:-1][same]]), np.concatenate([b, order[1:][same]])
-
-
-def _mean_normal(cross: np.ndarray, label: np.ndarray) -> np.ndarray:
-    """(n, 3) unit sum of area vectors for each label; z where they cancel out."""
-    total = np.stack([np.bincount(label, cross[:, k]) for k in range(3)], axis=1)
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.where(length > 1e-20, total / np.maximum(length, 1e-20), [0.0, 0.0, 1.0])
-
-
-def _lay_out(
-    vertices: np.ndarray,
-    triangles: np.ndarray,
-    pieces: np.ndarray,
-    normal: np.ndarray,
-    area: np.ndarray,
-    resolution: tuple[int, int],
-    padding: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """UV (nt, 3, 2) float32 and chart (nt,) 0, 1, ... of all pieces, projected, turned and packed."""
-    _, chart = np.unique(pieces, return_inverse=True)
-    chart = chart.reshape(-1)
-    # Step 1: the direction of projection: the mean normal, or the main axis where that leaves a face too steep.
-    mean = _mean_normal(normal * area[:, None], chart)
-    worst = np.ones(len(mean))
-    np.minimum.at(worst, chart, np.einsum("ij,ij->i", mean[chart], normal))
-    main = np.zeros_like(mean)
-    largest = np.argmax(np.abs(mean), axis=1)
-    main[np.arange(len(mean)), largest] = np.sign(mean[np.arange(len(mean)), largest])
-    mean = np.where((worst > STEEP)[:, None], mean, main)
-
-    # Step 2: flat coordinates in metres, about a local origin; x is as horizontal as can be.
-    side = np.cross(np.where(np.abs(mean[:, 2:]) > 0.9, [[0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]]), mean)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    up = np.cross(mean, side)
-    corner = vertices[triangles]
-    xy = np.stack([np.einsum("tij,tj->ti", corner, side[chart]), np.einsum("tij,tj->ti", corner, up[chart])], axis=2)
-
-    # Step 3: turn every chart into its tightest rectangle, with the long side along x.
-    best = np.full(len(mean), np.inf)
-    turn = np.zeros(len(mean))
-    for angle in np.linspace(0, np.pi / 2, ANGLES, endpoint=False):
-        low, high = _bounds(_rotate(xy, np.full(len(mean), angle), chart), chart, len(mean))
-        space = np.prod(high - low + 1e-9, axis=1)
-        better = space < best * (1 - 1e-6)
-        best[better], turn[better] = space[better], angle
-    low, high = _bounds(_rotate(xy, turn, chart), chart, len(mean))
-    upright = (high - low)[:, 1] > (high - low)[:, 0] * (1 + 1e-6)
-    xy = _rotate(xy, turn + np.where(upright, np.pi / 2, 0), chart)
-    low, high = _bounds(xy, chart, len(mean))
-
-    # Step 4: pack, and put every corner where its chart went.
-    extent = high - low
-    place, size, _ = pack_charts(extent, resolution, padding)
-    stretch = size / np.maximum(extent, 1e-30)
-    texel = (xy - low[chart][:, None]) * np.where(extent > 1e-30, stretch, 0.0)[chart][:, None] + place[chart][:, None]
-    return (texel / resolution).astype(np.float32), chart
-
-
-def _rotate(xy: np.ndarray, angle: np.ndarray, chart: np.ndarray) -> np.ndarray:
-    c, s = np.cos(angle)[chart][:, None], np.sin(angle)[chart][:, None]
-    return np.stack([xy[..., 0] * c - xy[..., 1] * s, xy[..., 0] * s + xy[..., 1] * c], axis=2)
-
-
-def _bounds(xy: np.ndarray, chart: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest x and y (count, 2) of every chart."""
-    order = np.argsort(chart, kind="stable")
-    start = np.searchsorted(chart[order], np.arange(count))
-    return np.minimum.reduceat(xy.min(axis=1)[order], start), np.maximum.reduceat(xy.max(axis=1)[order], start)
-
-
-def _clashing(vertices: np.ndarray, triangles: np.ndarray, uv: np.ndarray, resolution: tuple[int, int]) -> np.ndarray:
-    """Triangles that lie over others at different places of the mesh, found by rasterizing once."""
-    resolution = (min(resolution[0], CHECKED), min(resolution[1], CHECKED))
-    n = len(triangles)
-    none = np.zeros(n, np.int32)
-    obj = ObjectArrays("mesh", "mesh", triangle_count=n, vertex_count=len(vertices), uvs={"uv": uv}, render_uv="uv")
-    normals = np.zeros((n, 3, 3), np.float32)
-    scene = SceneArrays(
-        vertices, np.asarray(triangles, np.int32), normals, none.astype(bool), none, none, none, none, (Material("none"),), (obj,)
-    )
-    return rasterize(World(scene), [0], "uv", resolution, 4).clashing
+def _mended(meshes: Sequence[Mesh], charts: list[Charts], faults: Faults) -> list[Charts]:
+    """The charts with those cut that lie over themselves or have lost a triangle."""
+    broken = np.union1d(faults.clashing, faults.lost)
+    first = np.cumsum([0, *(len(mesh.triangles) for mesh in meshes)])
+    own = [broken[(broken >= a) & (broken < b)] - a for a, b in zip(first[:-1], first[1:], strict=True)]
+    return [cut_off(mesh, part, triangles) for mesh, part, triangles in zip(meshes, charts, own, strict=True)]

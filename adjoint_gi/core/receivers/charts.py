@@ -1,0 +1,113 @@
+"""Meshes and the flat charts they are cut into: what every way of unwrapping reads and makes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..scene.topology import components, edge_pairs, uv_corner_ids, weld
+
+CREASE = np.cos(np.radians(60))  # a sharper edge parts charts, so that light does not bleed around it
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """What is unwrapped: `vertices` (nv, 3) float64 in metres, `triangles` (nt, 3) int64, and the `polygon` (nt,) of each triangle.
+
+    Every triangle has an area, every coordinate is finite. Triangles of one polygon come into one chart.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    polygon: np.ndarray
+
+    def corners(self) -> np.ndarray:
+        """(nt, 3, 3) float64 positions of the corners."""
+        return self.vertices[self.triangles]
+
+
+@dataclass(frozen=True, eq=False)
+class Charts:
+    """Triangles laid flat: `xy` (nt, 3, 2) float64 in metres, about any origin, and the `chart` (nt,) int64 0, 1, ... of each."""
+
+    xy: np.ndarray
+    chart: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """Number of charts."""
+        return int(self.chart.max(initial=-1)) + 1
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest x and y (count, 2) of every chart."""
+        order = np.argsort(self.chart, kind="stable")
+        start = np.searchsorted(self.chart[order], np.arange(self.count))
+        return np.minimum.reduceat(self.xy.min(axis=1)[order], start), np.maximum.reduceat(self.xy.max(axis=1)[order], start)
+
+
+def join(parts: Sequence[Charts]) -> Charts:
+    """The charts of several meshes behind one another."""
+    first = np.cumsum([0, *(part.count for part in parts)])
+    chart = [part.chart + start for part, start in zip(parts, first, strict=False)]
+    return Charts(np.concatenate([part.xy for part in parts]), np.concatenate(chart))
+
+
+def islands(mesh: Mesh, xy: np.ndarray, chart: np.ndarray | None = None) -> np.ndarray:
+    """(nt,) int64 0, 1, ...: triangles that hang together by corners at one place in space and in `xy` (nt, 3, 2), and in `chart` (nt,)."""
+    corner = uv_corner_ids(weld(mesh.vertices)[mesh.triangles], xy.astype(np.float32)).ravel()
+    key = corner if chart is None else corner * (int(chart.max()) + 1) + np.repeat(chart, 3)
+    order = np.argsort(key, kind="stable")
+    same = key[order][1:] == key[order][:-1]
+    return components(len(xy), order[:-1][same] // 3, order[1:][same] // 3)
+
+
+def numbered(labels: np.ndarray) -> np.ndarray:
+    """`labels` (n,) as int64 0, 1, ... in their order."""
+    return np.unique(labels, return_inverse=True)[1].reshape(-1).astype(np.int64)
+
+
+def area_vectors(corner: np.ndarray) -> np.ndarray:
+    """(nt, 3) normals of triangles `corner` (nt, 3, 3), as long as their areas."""
+    return 0.5 * np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+
+
+def signed_areas(xy: np.ndarray) -> np.ndarray:
+    """(nt,) areas of flat triangles, negative where they lie the other way around."""
+    e1, e2 = xy[:, 1] - xy[:, 0], xy[:, 2] - xy[:, 0]
+    return 0.5 * (e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
+
+
+def mean_normal(vector: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """(n, 3) unit sum of area vectors for each label; z where they cancel out."""
+    total = np.stack([np.bincount(label, vector[:, k]) for k in range(3)], axis=1)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.where(length > 1e-20, total / np.maximum(length, 1e-20), [0.0, 0.0, 1.0])
+
+
+def joined(polygon: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(nt,) labels of pieces: triangles a[k] and b[k] belong together, and so do all triangles of one `polygon` (nt,)."""
+    order = np.argsort(polygon, kind="stable")
+    same = polygon[order][1:] == polygon[order][:-1]
+    return components(len(polygon), np.concatenate([a, order[:-1][same]]), np.concatenate([b, order[1:][same]]))
+
+
+def smooth_regions(mesh: Mesh) -> np.ndarray:
+    """(nt,) int64 0, 1, ...: triangles that hang together over edges that are no creases."""
+    polygon = numbered(mesh.polygon)
+    normal = mean_normal(area_vectors(mesh.corners()), polygon)[polygon]
+    a, b = edge_pairs(weld(mesh.vertices)[mesh.triangles])
+    same = (polygon[a] == polygon[b]) | (np.einsum("ij,ij->i", normal[a], normal[b]) > CREASE)
+    return joined(polygon, a[same], b[same])
+
+
+def carry(corner: np.ndarray, xy: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """(n, k, 2): where the affine maps of triangles `corner` (n, 3, 3) to `xy` (n, 3, 2) carry the points `point` (n, k, 3)."""
+    e1, e2, d = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0], point - corner[:, :1]
+    # Barycentric coordinates (s, t) of the points in the triangle, by the normal equations.
+    a, b, c = (np.einsum("ij,ij->i", x, y)[:, None] for x, y in ((e1, e1), (e1, e2), (e2, e2)))
+    u, v = np.einsum("ikj,ij->ik", d, e1), np.einsum("ikj,ij->ik", d, e2)
+    det = np.maximum(a * c - b * b, 1e-300)
+    s, t = (c * u - b * v) / det, (a * v - b * u) / det
+    return xy[:, None, 0] + s[..., None] * (xy[:, 1] - xy[:, 0])[:, None] + t[..., None] * (xy[:, 2] - xy[:, 0])[:, None]

@@ -1,0 +1,166 @@
+"""Charts by xatlas (J. Young, after I. Castano's Thekla Atlas): grown over smooth regions, laid flat by least-squares conformal maps.
+
+B. Levy, S. Petitjean, N. Ray, J. Maillot, Least Squares Conformal Maps for Automatic Texture Atlas Generation, 2002. xatlas is given
+what it can bear: finite coordinates about the origin, each smooth region on its own, and none that is too large. What it answers is
+mended: polygons are put together again, lengths are measured anew, and a chart that is bent too far is laid flat by projection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import xatlas
+
+from .charts import Charts, Mesh, area_vectors, carry, islands, numbered, signed_areas, smooth_regions
+from .projection import pieces, project, tightest
+
+NONE = np.uint32(0xFFFFFFFF)  # the chart of what xatlas left out
+LARGEST = 5000  # triangles of a region that xatlas is given: its time grows with the square, 0.6 s here
+EXTENT = 1e4  # largest extent of what xatlas sees: it ignores triangles of less than 1.2e-7 square units, which float32 cannot hold then
+COARSE = 512  # texels a side of the packing xatlas does along with the charts, which nothing comes of
+WIDEST = 4096  # texels of a chart there: one that a bad map has drawn out must not become an image of that width
+STRETCH = 3.0  # how much an edge may be longer or shorter in a chart than in space
+LEAST = 1e-3  # share of the area that a triangle must keep in its chart
+
+
+def make_charts(mesh: Mesh) -> Charts:
+    """The charts of `mesh`, each with the area in UV space that its surface has."""
+    xy, chart = _grow(mesh)
+    xy, chart = _whole_polygons(mesh, xy, chart)
+    missing = ~np.isfinite(xy).all(axis=(1, 2))
+    charts = _measured(mesh, Charts(np.where(missing[:, None, None], 0.0, xy), numbered(np.where(missing, -1, chart))))
+    charts = _relaid(mesh, charts, missing, pieces)
+    charts = cut_off(mesh, charts, np.flatnonzero(_bent(mesh, charts)))
+    return Charts(charts.xy, islands(mesh, charts.xy, charts.chart))
+
+
+def cut_off(mesh: Mesh, charts: Charts, triangles: np.ndarray) -> Charts:
+    """The charts with those that hold `triangles` replaced by projections: of pieces, or of polygons where these were pieces already."""
+    bad = np.isin(charts.chart, charts.chart[triangles])
+    return _relaid(mesh, charts, bad, lambda part: _finer(part, numbered(charts.chart[bad])))
+
+
+def _relaid(mesh: Mesh, charts: Charts, which: np.ndarray, label: Callable[[Mesh], np.ndarray]) -> Charts:
+    """The charts with the triangles `which` (nt,) bool laid flat by projection, cut as `label` does."""
+    if not which.any():
+        return charts
+    part = Mesh(mesh.vertices, mesh.triangles[which], mesh.polygon[which])
+    flat = project(part, label(part))
+    xy, chart = charts.xy.copy(), charts.chart.copy()
+    xy[which], chart[which] = flat.xy, charts.count + flat.chart
+    return Charts(xy, numbered(chart))
+
+
+def _finer(mesh: Mesh, chart: np.ndarray) -> np.ndarray:
+    """(nt,) labels that cut every `chart` (nt,) of 0, 1, ...: into our own pieces where there are several, else into polygons."""
+    piece, polygon = numbered(pieces(mesh)), numbered(mesh.polygon)
+    both = numbered(piece * (int(chart.max()) + 1) + chart)
+    # A chart is one piece when none of its triangles has another piece than one of them.
+    one = np.zeros(int(chart.max()) + 1, np.int64)
+    one[chart] = piece
+    several = np.zeros(len(one), bool)
+    several[chart[piece != one[chart]]] = True
+    return np.where(several[chart], both, both.max() + 1 + polygon)
+
+
+def _grow(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Flat corners (nt, 3, 2) in units of xatlas and its charts (nt,); NaN for triangles it left out or was not given."""
+    region = smooth_regions(mesh)
+    order = np.argsort(region, kind="stable")
+    parts = [part for part in np.split(order, np.flatnonzero(np.diff(region[order])) + 1) if len(part) <= LARGEST]
+    low, high = mesh.corners().min(axis=(0, 1)), mesh.corners().max(axis=(0, 1))
+    scale = EXTENT / max(float((high - low).max()), 1e-300)
+    place = ((mesh.vertices - 0.5 * (low + high)) * scale).astype(np.float32)
+    area = float(np.linalg.norm(area_vectors(place[mesh.triangles].astype(np.float64)), axis=1).sum())
+
+    xy, chart = np.full((len(region), 3, 2), np.nan), np.full(len(region), -1, np.int64)
+    if not parts:
+        return xy, chart
+    atlas = xatlas.Atlas()
+    for part in parts:
+        used, index = np.unique(mesh.triangles[part], return_inverse=True)
+        atlas.add_mesh(place[used], index.reshape(-1, 3).astype(np.uint32))
+    options = xatlas.PackOptions()
+    options.bilinear = False
+    options.texels_per_unit = COARSE / max(area, 1.0) ** 0.5
+    options.max_chart_size = WIDEST
+    atlas.generate(xatlas.ChartOptions(), options)
+    for number, part in enumerate(parts):
+        _, index, uv = atlas.get_mesh(number)
+        _, label = atlas.get_mesh_vertex_assignment(number)
+        known = label[index[:, 0]] != NONE
+        xy[part[known]] = uv[index[known]].astype(np.float64) * (atlas.width, atlas.height)
+        chart[part[known]] = label[index[known, 0]]
+    return xy, chart
+
+
+def _whole_polygons(mesh: Mesh, xy: np.ndarray, chart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same with each polygon in the chart of its largest triangle.
+
+    A corner comes to where that chart has its vertex already, else to where the map of the largest triangle carries it; several
+    polygons that carry a vertex into one chart meet in the mean.
+    """
+    known = np.isfinite(xy).all(axis=(1, 2))
+    area = np.where(known, np.linalg.norm(area_vectors(mesh.corners()), axis=1), -1.0)
+    polygon = numbered(mesh.polygon)
+    order = np.argsort(area, kind="stable")
+    largest = np.zeros(int(polygon.max()) + 1, np.int64)
+    largest[polygon[order]] = order  # the last of equal indices stays
+    base = largest[polygon]
+    home = chart[base]
+    moved = np.flatnonzero(known[base] & (~known | (chart != home)))
+    if not len(moved):
+        return xy, chart
+    # Step 1: places of vertices in charts, as far as these have them; vertex and chart as one number.
+    many = int(chart.max()) + 2
+    have, at = np.unique(mesh.triangles[known].ravel() * many + chart[known].repeat(3), return_index=True)
+    place = xy[known].reshape(-1, 2)[at]
+    # Step 2: the others are carried there.
+    want = mesh.triangles[moved] * many + home[moved][:, None]
+    found = np.minimum(np.searchsorted(have, want), len(have) - 1)
+    carried = carry(mesh.corners()[base[moved]], xy[base[moved]], mesh.corners()[moved])
+    new, which = np.unique(want, return_inverse=True)
+    which = which.reshape(-1)
+    mean = np.stack([np.bincount(which, carried[..., k].ravel()) for k in range(2)], axis=1) / np.bincount(which)[:, None]
+    xy, chart = xy.copy(), chart.copy()
+    xy[moved] = np.where((have[found] == want)[..., None], place[found], mean[which].reshape(-1, 3, 2))
+    chart[moved] = home[moved]
+    return xy, chart
+
+
+def _measured(mesh: Mesh, charts: Charts) -> Charts:
+    """The charts in metres: x and y of each scaled so that its edges are as long as in space, then both to the area of its surface.
+
+    xatlas has stretched x and y to whole texels. The squares of the scales solve a least-squares problem of two unknowns a chart.
+    """
+    corner, chart, n = mesh.corners(), charts.chart, charts.count
+    edge = (np.roll(charts.xy, -1, axis=1) - charts.xy) ** 2
+    length = ((np.roll(corner, -1, axis=1) - corner) ** 2).sum(axis=2)
+    xx, yy, long = edge[..., 0], edge[..., 1], length
+    a, b, c, p, q = (np.bincount(chart, s.sum(axis=1), n) for s in (xx * xx, xx * yy, yy * yy, xx * long, yy * long))
+    det = a * c - b * b
+    safe = np.where(det > 1e-6 * a * c, det, 1.0)
+    square = np.stack([(p * c - q * b) / safe, (q * a - p * b) / safe], axis=1)
+    total = np.bincount(chart, (xx + yy).sum(axis=1), n)
+    even = np.bincount(chart, long.sum(axis=1), n) / np.where(total > 0, total, 1.0)
+    usable = (det > 1e-6 * a * c) & (square > 0.04 * even[:, None]).all(axis=1)
+    scale = np.sqrt(np.where(usable[:, None], square, even[:, None]))
+    xy = charts.xy * scale[chart][:, None]
+    surface = np.bincount(chart, np.linalg.norm(area_vectors(corner), axis=1), n)
+    flat = np.bincount(chart, np.abs(signed_areas(xy)), n)
+    usable = flat > LEAST * surface
+    grown = np.sqrt(np.where(usable, surface / np.where(usable, flat, 1.0), 1.0))
+    return tightest(Charts(xy * grown[chart][:, None, None], chart))
+
+
+def _bent(mesh: Mesh, charts: Charts) -> np.ndarray:
+    """(nt,) bool: triangles that are stretched, squeezed, or turned over against the rest of their chart."""
+    corner = mesh.corners()
+    length = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2)
+    flat = np.linalg.norm(np.roll(charts.xy, -1, axis=1) - charts.xy, axis=2)
+    signed, area = signed_areas(charts.xy), np.linalg.norm(area_vectors(corner), axis=1)
+    side = np.sign(np.bincount(charts.chart, signed, charts.count))[charts.chart]
+    longest = np.maximum(length.max(axis=1), 1e-300)
+    stretch = flat.max(axis=1) / longest
+    return (signed * side < LEAST * area) | (stretch > STRETCH) | (stretch < 1 / STRETCH)

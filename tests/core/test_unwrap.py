@@ -1,0 +1,197 @@
+"""Unwrapping of meshes, without Blender: what every layer must be, good charts, and meshes that are meant to break it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core.base.errors import TargetError
+from adjgi.adjoint_gi.core.receivers import unwrap as module
+from adjgi.adjoint_gi.core.receivers.charts import Charts, Mesh, area_vectors, carry, islands, signed_areas, smooth_regions
+from adjgi.adjoint_gi.core.receivers.conformal import LARGEST, cut_off, make_charts
+from adjgi.adjoint_gi.core.receivers.unwrap import unwrap
+from adjgi.adjoint_gi.core.receivers.uv_check import check
+from adjgi.tests.scenes import icosphere
+
+
+def mesh(vertices, triangles, polygon=None):
+    """A mesh as the bridge makes it: without triangles that have no area or lie nowhere."""
+    vertices, triangles = np.asarray(vertices, np.float64), np.asarray(triangles, np.int64)
+    polygon = np.arange(len(triangles)) if polygon is None else np.asarray(polygon)
+    with np.errstate(all="ignore"):
+        p = vertices[triangles]
+        good = np.isfinite(p).all(axis=(1, 2)) & (np.abs(p).max(axis=(1, 2)) <= 1e12)
+        good &= np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1) > 0
+    return Mesh(np.where(np.isfinite(vertices), vertices, 0.0), triangles[good], polygon[good])
+
+
+def sheet(n, height=lambda x, y: 0 * x):
+    """A square of n x n quads, (x, y, height), its triangles, and their quads."""
+    x, y = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1))
+    i = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    triangles = np.concatenate([np.stack([i, i + 1, i + n + 2], 1), np.stack([i, i + n + 2, i + n + 1], 1)])
+    return np.stack([x.ravel(), y.ravel(), height(x, y).ravel()], 1), triangles, np.tile(np.arange(n * n), 2)
+
+
+def box(size=(1, 1, 1), at=(0, 0, 0)):
+    """A box of six quads."""
+    corner = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], float) * size + at
+    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    return mesh(corner, [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], np.repeat(np.arange(6), 2))
+
+
+def soup(n, points, seed=1):
+    """n random triangles of a number of random points."""
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(points, 3)), rng.integers(0, points, (n, 3))
+
+
+def spoilt(share, factor, seed=2):
+    """A soup in which a share of the coordinates is multiplied."""
+    vertices, triangles = soup(100, 300)
+    return np.where(np.random.default_rng(seed).random(vertices.shape) < share, factor * vertices, vertices), triangles
+
+
+SMALL = sheet(12)
+FAN = np.concatenate([[[0, 0, 0], [0, 0, 1]], np.stack([np.cos(np.arange(50)), np.sin(np.arange(50)), np.zeros(50)], 1)])
+HOSTILE = {
+    "one triangle": ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]),
+    "far away": (np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]]) + 1e6, [[0, 1, 2]]),
+    "sliver": ([[0, 0, 0], [1, 0, 0], [0.5, 1e-9, 0]], [[0, 1, 2]]),
+    "sliver beyond float32": ([[0, 0, 0], [1, 0, 0], [0.5, 1e-15, 0]], [[0, 1, 2]]),
+    "soup": soup(200, 600),
+    "shared points": soup(400, 40),
+    "very much shared points": soup(800, 12),
+    "1e-20": (soup(100, 300)[0] * 1e-20, soup(100, 300)[1]),
+    "1e11": (soup(100, 300)[0] * 1e11, soup(100, 300)[1]),
+    "some 1e20": spoilt(0.02, 1e20),
+    "some 1e-20": spoilt(0.3, 1e-20),
+    "some 1e11": spoilt(0.05, 1e11),
+    "not a number": spoilt(0.05, np.nan),
+    "faces three times": (SMALL[0], np.concatenate([SMALL[1], SMALL[1], SMALL[1][:, ::-1]])),
+    "one edge of fifty faces": (FAN, np.stack([np.zeros(50, int), np.ones(50, int), np.arange(2, 52)], 1)),
+    "points on a lattice": (np.round(np.random.default_rng(4).random((200, 3)) * 3), soup(400, 200)[1]),
+    "ribbon": (SMALL[0] * [1, 1e-8, 1], SMALL[1]),
+    "graded": (SMALL[0] ** 8, SMALL[1]),
+    "faces in pieces": (*soup(120, 40), np.random.default_rng(6).integers(0, 40, 120)),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_meshes_are_unwrapped(name):
+    m = mesh(*HOSTILE[name])
+    u = unwrap([m], 256, (2, 1, 0))
+    (uv,) = u.uvs
+    assert uv.shape == (len(m.triangles), 3, 2) and np.isfinite(uv).all() and uv.min() >= 0 and uv.max() <= 1
+    if name != "faces in pieces":  # such faces lie over themselves, whatever is done
+        assert not u.projected and not check([m], uv, 256, u.padding)
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_triangles_are_unwrapped():
+    m = mesh(*sheet(224, lambda x, y: 0.2 * np.sin(9 * x) * np.cos(7 * y)))
+    assert len(m.triangles) > 100_000 > LARGEST
+    u = unwrap([m], 512, (2,))
+    assert not u.projected and u.charts < 50 and u.covered > 0.4
+
+
+def test_a_flat_sheet_of_many_triangles_is_one_chart_without_distortion():
+    flat, tri, quad = sheet(30)
+    turn = np.array([[0.6, 0.0, 0.8], [0.48, 0.8, -0.36]])  # orthonormal rows
+    m = mesh(flat[:, :2] @ turn, tri, quad)
+    u = unwrap([m], 256, (2,))
+    uv = u.uvs[0]
+    length = np.linalg.norm(uv[:, 1] - uv[:, 0], axis=1) / np.linalg.norm(m.corners()[:, 1] - m.corners()[:, 0], axis=1)
+    assert u.charts == 1 and np.ptp(length) / length.mean() < 1e-4
+    assert uv.min() >= 0 and uv.max() <= 1 and np.ptp(uv[..., 0]) > 0.95
+    assert length.mean() * 256 == pytest.approx(u.texels_per_metre, rel=0.01)
+
+
+def test_a_sphere_has_few_charts_and_the_same_every_time():
+    m = mesh(*icosphere(3))
+    first = unwrap([m], 512, (4,))
+    assert first.charts <= 12 and first.covered > 0.45
+    assert np.array_equal(first.uvs[0], unwrap([m], 512, (4,)).uvs[0])
+
+
+def test_several_meshes_share_the_square_at_one_scale():
+    meshes = [box(), box((2, 1, 0.5)), box(), mesh(*icosphere(2))]  # equal places in space are no equal places of the image
+    u = unwrap(meshes, 256, (4,))
+    assert u.charts == 18 + islands(meshes[3], u.uvs[3]).max() + 1 and not u.projected and u.covered > 0.5
+    assert not check(meshes, np.concatenate(u.uvs), 256, 4)
+    for m, uv in zip(meshes[:3], u.uvs, strict=False):
+        density = np.sqrt(np.abs(signed_areas(uv.astype(float))) / np.linalg.norm(area_vectors(m.corners()), axis=1)) * 256
+        assert np.allclose(density, u.texels_per_metre, rtol=0.06)  # whole texels
+
+
+def test_faces_stay_whole_and_creases_part_charts():
+    rough = mesh(*sheet(24, lambda x, y: 0.15 * np.sin(11 * x * y)))
+    charts = make_charts(rough)
+    quad = [np.unique(charts.chart[rough.polygon == k]) for k in range(24 * 24)]
+    assert all(len(found) == 1 for found in quad) and charts.count < 60
+    assert np.unique(smooth_regions(box())).size == 6 == make_charts(box()).count
+
+
+def test_charts_keep_area_and_nearly_lengths():
+    m = mesh(*icosphere(3))
+    charts = make_charts(m)
+    area = np.linalg.norm(area_vectors(m.corners()), axis=1)
+    assert np.abs(signed_areas(charts.xy)).sum() == pytest.approx(area.sum(), rel=1e-6)
+    ratio = np.abs(signed_areas(charts.xy)) / area
+    assert ratio.min() > 0.5 and ratio.max() < 2
+
+
+def test_affine_maps_carry_points():
+    corner = np.array([[[0, 0, 0], [2, 0, 0], [0, 3, 0]]], float)
+    flat = np.array([[[1, 1], [1, 2], [0, 1]]], float)
+    assert np.allclose(carry(corner, flat, np.array([[[2, 3, 0], [1, 0, 0]]], float)), [[[0, 2], [1, 1.5]]])
+
+
+def test_cut_charts_fall_into_pieces_and_then_into_faces():
+    m = mesh(*sheet(2))
+    whole = Charts(m.corners()[..., :2], np.zeros(8, np.int64))
+    assert cut_off(m, whole, np.zeros(0, int)).count == 1
+    assert cut_off(m, whole, np.array([0])).count == 4  # one piece already, so its four faces
+    two = box()
+    assert cut_off(two, Charts(np.zeros((12, 3, 2)), np.zeros(12, np.int64)), np.array([3])).count == 6
+
+
+def square(x0, y0, x1, y1):
+    """UV of a quad of two triangles."""
+    return [[[x0, y0], [x1, y0], [x1, y1]], [[x0, y0], [x1, y1], [x0, y1]]]
+
+
+PAIR = [mesh(*sheet(1)), mesh(*sheet(1))]
+LAYERS = {
+    "right": (square(0, 0, 0.5, 1) + square(0.5 + 3 / 32, 0, 1, 1), ""),
+    "close": (square(0, 0, 0.5, 1) + square(0.5 + 2 / 32, 0, 1, 1), "too close"),
+    "over one another": (square(0, 0, 0.5, 1) + square(0.3, 0, 1, 1), "claimed twice"),
+    "without an area": (square(0, 0, 0.5, 1) + square(0.7, 0, 0.7, 1), "without an area"),
+    "outside": (square(0, 0, 0.5, 1) + square(0.7, 0, 1.2, 1), "out of the unit square"),
+}
+
+
+@pytest.mark.parametrize("name", LAYERS)
+def test_faults_are_found(name):
+    uv, says = LAYERS[name]
+    faults = check(PAIR, np.array(uv, np.float32), 32, 3)
+    assert bool(faults) == bool(says) and says in str(faults)
+
+
+def test_bad_charts_are_mended_and_hopeless_ones_projected(monkeypatch):
+    """Charts that lie over themselves are cut; where that does not help, the meshes are projected and the reason is said."""
+    m = mesh(*sheet(6))
+    folded = Charts(np.abs(m.corners()[..., :2] - 0.5), np.zeros(len(m.triangles), np.int64))
+    monkeypatch.setattr(module, "make_charts", lambda mesh: folded)
+    mended = unwrap([m], 128, (2,))
+    assert not mended.projected and mended.charts == 36 and not check([m], mended.uvs[0], 128, 2)
+    monkeypatch.setattr(module, "cut_off", lambda mesh, charts, triangles: charts)
+    projected = unwrap([m], 128, (2,))
+    assert "claimed twice" in projected.projected and projected.charts == 1 and not check([m], projected.uvs[0], 128, 2)
+
+
+def test_the_first_padding_that_fits_is_taken():
+    boxes = [box() for _ in range(20)]
+    assert unwrap(boxes, 64, (4, 2, 1, 0)).padding == 4
+    assert unwrap(boxes, 32, (4, 2, 1, 0)).padding < 4
+    with pytest.raises(TargetError, match="120 UV islands do not fit into 8 x 8"):
+        unwrap(boxes, 8, (4, 2, 1, 0))
