@@ -63,7 +63,7 @@ def make_lightmap_uvs(objects: Sequence[bpy.types.Object], resolution: int, padd
         if not _own(obj.data) and len(obj.data.uv_layers) >= MOST:
             reason = f"has {MOST} UV layers already, the most a mesh can hold"
             raise TargetError(obj.name, reason, "Remove one, or choose one for the lightmap")
-    faces = [_read(obj) for obj in objects]
+    faces = [read_faces(obj) for obj in objects]
     try:
         unwrapped = unwrap([face.mesh for face in faces], resolution, paddings)
     except TargetError as error:
@@ -232,7 +232,7 @@ class Faces:
         out[self.corners[which, k]] = carry(self.point[base], uv, self.point[which, k][:, None])[:, 0]
 
 
-def _read(obj: bpy.types.Object) -> Faces:
+def read_faces(obj: bpy.types.Object) -> Faces:
     """The faces of the original mesh of `obj`; raises SceneError where none can be unwrapped."""
     mesh = obj.data
     if not mesh.polygons:

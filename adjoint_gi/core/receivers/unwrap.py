@@ -53,13 +53,15 @@ def unwrap(meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int]) -> 
         reason = str(failure)
     except TargetError as error:
         reason = error.notice.reason
-    return _first_that_fits(meshes, [_projected(mesh) for mesh in meshes], resolution, paddings, reason)
+    return by_projection(meshes, resolution, paddings, reason)
 
 
-def _projected(mesh: Mesh) -> Charts:
-    """Our own charts, with those apart that do not hang together."""
-    charts = project(mesh, pieces(mesh))
-    return Charts(charts.xy, islands(mesh, charts.xy, charts.chart))
+def by_projection(meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], reason: str) -> Unwrapped:
+    """The same by our own projections on shelves, taken for a `reason`, which is not empty."""
+    charts = [project(mesh, pieces(mesh)) for mesh in meshes]
+    # Apart what does not hang together, so that it is packed with space between.
+    charts = [Charts(part.xy, islands(mesh, part.xy, part.chart)) for mesh, part in zip(meshes, charts, strict=True)]
+    return _first_that_fits(meshes, charts, resolution, paddings, reason)
 
 
 class _Unfit(Exception):
