@@ -18,6 +18,7 @@ from adjgi.adjoint_gi.bridge.cli.arguments import DEMO_METHODS
 from adjgi.adjoint_gi.bridge.results import links as targets
 from adjgi.adjoint_gi.bridge.results.attribute import linked_attribute
 from adjgi.adjoint_gi.bridge.results.image import linked_image, read_pixels
+from adjgi.adjoint_gi.bridge.results.lightmap_uv import STORED, make_lightmap_uvs
 from adjgi.adjoint_gi.core.base.errors import AdjointError, TargetError
 from adjgi.adjoint_gi.core.images.exr import read_exr
 from adjgi.adjoint_gi.core.method import registry
@@ -120,9 +121,52 @@ def test_atlas_gives_each_object_its_own_place():
         floor, wall = scene.objects["Floor"], scene.objects["Left Wall"]
         image = linked_image(floor, "irradiance")
         assert image == linked_image(wall, "irradiance")
-        a, b = targets.link(floor, "irradiance"), targets.link(wall, "irradiance")
-        assert list(a["offset"]) != list(b["offset"])
-        assert len(made._sheets) == 1 and made._sheets[0].lightmap.overlapping == 0
+        (sheet,) = made._sheets
+        assert sheet.lightmap.overlapping == 0 and sheet.lightmap.covered.mean() > 0.6
+        owner = made.world.scene.object[sheet.lightmap.receivers.triangle[sheet.lightmap.receivers.start[:-1]]]
+        assert len(np.unique(owner)) == len(sheet.uids)
+        # Packed together, so the layers are used as they are, also by a second bake.
+        for bake in (made, finish(request(atlas=True, resolution=128, values={"samples": 1}))[0]):
+            assert bake._sheets[0].placement == {} and list(targets.link(wall, "irradiance")["offset"]) == [0, 0]
+
+
+def test_objects_with_a_layer_from_before_get_squares_of_the_atlas():
+    scene = demo.build_cornell()
+    with bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
+        make_lightmap_uvs([scene.objects["Floor"]], 128, (2,))
+        before = digest(scene.objects["Floor"])
+        made, _ = finish(request(atlas=True, resolution=128, values={"samples": 1}))
+        a, b = (targets.link(scene.objects[name], "irradiance") for name in ("Floor", "Left Wall"))
+        assert list(a["offset"]) != list(b["offset"]) and made._sheets[0].lightmap.overlapping == 0
+        assert digest(scene.objects["Floor"]) == before and not any("fills only a part" in n.reason for n in made.notices)
+
+
+def test_objects_that_share_a_mesh_get_squares_of_the_atlas():
+    scene = demo.build_cornell()
+    with bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
+        twin = bpy.data.objects.new("Twin", scene.objects["Tall Box"].data)
+        twin.location.x = 0.4
+        scene.collection.objects.link(twin)
+        made, _ = finish(request(atlas=True, resolution=128, values={"samples": 1}))
+        a, b = (targets.link(scene.objects[name], "irradiance") for name in ("Twin", "Tall Box"))
+        assert list(a["offset"]) != list(b["offset"]) and made._sheets[0].lightmap.overlapping == 0
+
+
+def test_a_layer_made_for_an_atlas_is_kept_by_a_bake_without_and_this_is_said():
+    scene = demo.build_cornell()
+    with bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
+        finish(request(atlas=True, resolution=128, values={"samples": 1}))
+        before = digest(scene.objects["Floor"])
+        made, _ = finish(request(resolution=64, values={"samples": 1}))
+        assert digest(scene.objects["Floor"]) == before
+        (notice,) = (n for n in made.notices if "fills only a part" in n.reason)
+        assert set(notice.names) >= {"Floor", "Tall Box"}
+
+
+def digest(obj):
+    """What our layer holds."""
+    layer = obj.data.uv_layers[obj.data[STORED]]
+    return [tuple(x.vector) for x in layer.uv]
 
 
 def test_named_uv_layer_is_used_and_nothing_is_made():

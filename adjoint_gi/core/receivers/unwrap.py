@@ -96,6 +96,7 @@ def _checked(meshes: Sequence[Mesh], charts: list[Charts], resolution: int, padd
     else:
         if not projected:
             raise _Unfit(f"the charts of xatlas have {faults}")
+        projected = f"{projected}; what is left is {faults}"
     stops = np.cumsum([len(mesh.triangles) for mesh in meshes])[:-1]
     return Unwrapped(tuple(np.split(uv, stops)), scale, padding, faults.charts, faults.covered / resolution**2, projected)
 
