@@ -243,5 +243,8 @@ def test_benchmark_tables_hold_the_data():
         told += [
             f"{value:.5f} ({100 * (value / exact - 1):+.2f} %)" for value, exact in zip(row["path_tracing"], row["exact"], strict=True)
         ]
+    for row in json.loads(read("docs/data/lightmap_uvs.json"))["rows"]:
+        shares = f"{100 * row['covered']:.1f} % | {row['claimed_twice']:,} | {row['too_close']:,} | {row['seconds']:.2f} |"
+        told.append(f"| {row['scene']} | {row['resolution']} | {row['way']} | {row['charts']:,} | {shares}")
     assert len(told) > 20
     assert [x for x in told if x not in text] == []
