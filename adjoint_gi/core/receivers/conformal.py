@@ -31,14 +31,17 @@ def make_charts(mesh: Mesh) -> Charts:
     missing = ~np.isfinite(xy).all(axis=(1, 2))
     charts = _measured(mesh, Charts(np.where(missing[:, None, None], 0.0, xy), numbered(np.where(missing, -1, chart))))
     charts = _relaid(mesh, charts, missing, pieces)
-    charts = cut_off(mesh, charts, np.flatnonzero(_bent(mesh, charts)))
-    return Charts(charts.xy, islands(mesh, charts.xy, charts.chart))
+    return cut_off(mesh, charts, np.flatnonzero(_bent(mesh, charts)))
 
 
 def cut_off(mesh: Mesh, charts: Charts, triangles: np.ndarray) -> Charts:
-    """The charts with those that hold `triangles` replaced by projections: of pieces, or of polygons where these were pieces already."""
+    """The charts with those that hold `triangles` replaced by projections: of pieces, or of polygons where these were pieces already.
+
+    What does not hang together is a chart of its own.
+    """
     bad = np.isin(charts.chart, charts.chart[triangles])
-    return _relaid(mesh, charts, bad, lambda part: _finer(part, numbered(charts.chart[bad])))
+    charts = _relaid(mesh, charts, bad, lambda part: _finer(part, numbered(charts.chart[bad])))
+    return Charts(charts.xy, islands(mesh, charts.xy, charts.chart))
 
 
 def _relaid(mesh: Mesh, charts: Charts, which: np.ndarray, label: Callable[[Mesh], np.ndarray]) -> Charts:

@@ -82,13 +82,14 @@ def _checked(meshes: Sequence[Mesh], charts: list[Charts], resolution: int, padd
     """Pack, check and mend, a few times. Raises TargetError or, for charts of xatlas, _Unfit."""
     gap, scale = padding, 0.0
     for _ in range(TRIES):
+        flat = join(charts)
         if projected:
-            uv, scale = pack_on_shelves(join(charts), resolution, gap)
+            uv, scale = pack_on_shelves(flat, resolution, gap)
         elif scale:
-            uv, scale = pack_again(join(charts), resolution, gap, scale)
+            uv, scale = pack_again(flat, resolution, gap, scale)
         else:
-            uv, scale = pack_tightly(join(charts), resolution, gap)
-        faults = check(meshes, uv, resolution, padding)
+            uv, scale = pack_tightly(flat, resolution, gap)
+        faults = check(meshes, uv, resolution, padding, flat.chart)
         if not faults:
             break
         charts = _mended(meshes, charts, faults)

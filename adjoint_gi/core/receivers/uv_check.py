@@ -50,14 +50,15 @@ class Faults:
         return ", ".join(f"{count} {what}" for what, count in found.items() if count)
 
 
-def check(meshes: Sequence[Mesh], uv: np.ndarray, resolution: int, padding: int) -> Faults:
+def check(meshes: Sequence[Mesh], uv: np.ndarray, resolution: int, padding: int, chart: np.ndarray | None = None) -> Faults:
     """Rasterize `uv` (nt, 3, 2) float32 of all triangles of `meshes` into one square image and report what is wrong.
 
-    `padding` texels should be free between charts. An image of more than FINEST texels a side is looked at in less detail.
+    `padding` texels should be free between charts: those of `chart` (nt,), or else pieces that hang together in UV space. An image of
+    more than FINEST texels a side is looked at in less detail.
     """
     size = min(resolution, FINEST)
     lightmap = rasterize(_world(meshes, uv), [0], "uv", size, 4)
-    chart = _islands(meshes, uv)
+    chart = _islands(meshes, uv) if chart is None else chart
     texel = np.full(size * size, -1, np.int64)
     texel[lightmap.pixel] = chart[lightmap.receivers.triangle[lightmap.receivers.start[:-1]]]
     area = np.concatenate([np.linalg.norm(area_vectors(mesh.corners()), axis=1) for mesh in meshes])
