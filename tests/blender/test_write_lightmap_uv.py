@@ -89,8 +89,8 @@ def test_a_game_level_is_unwrapped_and_rasterized():
     obj = next(o for o in bpy.data.objects if o.type == "MESH")
     bpy.context.view_layer.objects.active = obj
     bpy.ops.object.mode_set(mode="OBJECT")  # the file was saved in edit mode
-    assert make_lightmap_uvs([obj], 1024, (2,)) == []
-    m, lm = raster(obj, obj.data[module.STORED], 1024)
+    assert make_lightmap_uvs([obj], 2048, (2,)) == []
+    m, lm = raster(obj, obj.data[module.STORED], 2048)
     assert lm.overlapping == 0 and lm.outside == 0 and lm.covered.mean() > 0.5
     assert len(np.unique(lm.receivers.triangle)) > 0.85 * len(m.triangles)
 
