@@ -2,8 +2,11 @@
 
     python bench/methods_page.py              pictures and page
     python bench/methods_page.py --page       the page alone, with the numbers of the last pictures
+    python bench/methods_page.py --cost       the cost of an error alone, for the methods of COMPARED
+    ... METHOD ...                            these methods alone
 
-The scene is a Cornell box with a mirror and a glossy block and a ball of glass, so that what a method leaves out can be seen.
+The scene is a Cornell box with a mirror and a glossy block and a ball of glass, so that what a method leaves out can be seen. What an error
+costs is measured on elements of the plain Cornell box, against full-matrix radiosity with far more rays.
 Needs no Blender.
 """
 
@@ -12,6 +15,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import json
+import math
 import sys
 import time
 from pathlib import Path
@@ -25,9 +29,11 @@ if "adjgi" not in sys.modules:
     spec.loader.exec_module(sys.modules["adjgi"])
 
 from adjgi import solvers  # noqa: E402
+from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements  # noqa: E402
 from adjgi.adjoint_gi.core.images.png import write_png  # noqa: E402
-from adjgi.adjoint_gi.core.method.registry import Solver, methods  # noqa: E402
-from adjgi.adjoint_gi.core.receivers.base import CameraReceivers  # noqa: E402
+from adjgi.adjoint_gi.core.method.registry import Solver, method, methods  # noqa: E402
+from adjgi.adjoint_gi.core.method.solution import Solution  # noqa: E402
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, Receivers  # noqa: E402
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material, SceneArrays  # noqa: E402
 from adjgi.adjoint_gi.core.scene.builder import diffuse  # noqa: E402
 from adjgi.adjoint_gi.core.scene.world import World  # noqa: E402
@@ -46,6 +52,10 @@ CHOSEN: dict[str, dict[str, object]] = {
     "multi_pass": {"samples": 32},
     "two_pass": {"samples": 16},
 }
+# Methods that shoot rays between diffuse elements, side by side: the rays that they are given for the cost of an error.
+COMPARED = ("progressive_radiosity", "stochastic_jacobi")
+RAYS = (250_000, 1_000_000, 4_000_000)
+EDGE, REFERENCE_RAYS = 0.1, 16_384  # of the elements, and of each in the reference
 
 
 def glossy_cornell() -> SceneArrays:
@@ -72,13 +82,9 @@ def picture(solver: Solver) -> dict[str, object]:
     """Solve for the camera and save the picture; returns what it took."""
     world = World(glossy_cornell())
     receivers = CameraReceivers(world)
-    settings = solver.Settings(**CHOSEN.get(solver.spec.id, {}))
-    memory = solver.memory(world, receivers, settings)
-    began = time.perf_counter()
-    for step in solver.solve(world, receivers, settings, np.random.default_rng(0)):
-        last = step
-    solution = last.solution()
-    seconds = time.perf_counter() - began
+    chosen = CHOSEN.get(solver.spec.id, {})
+    memory = solver.memory(world, receivers, solver.Settings(**chosen))
+    solution, seconds = solved(solver, world, receivers, chosen)
     quantity = "radiance" if solution.measure == "radiance" else solution.measure
     image = solution.quantity(quantity).reshape(SIZE, SIZE, 3)
     if quantity != "radiance":
@@ -89,8 +95,58 @@ def picture(solver: Solver) -> dict[str, object]:
         "seconds": round(seconds, 1),
         "rays": solution.rays,
         "memory_mb": round(memory / 2**20),
-        "settings": CHOSEN.get(solver.spec.id, {}),
+        "settings": chosen,
     }
+
+
+def solved(solver: Solver, world: World, receivers: Receivers, options: dict[str, object]) -> tuple[Solution, float]:
+    """The finished solution and the seconds it took."""
+    settings = solver.Settings(**options)
+    began = time.perf_counter()
+    *_, last = solver.solve(world, receivers, settings, np.random.default_rng(settings.seed))
+    return last.solution(), time.perf_counter() - began
+
+
+def costs(names: list[str]) -> dict[str, list[dict[str, float]]]:
+    """Rays cast, seconds and relative root mean square error of irradiance, for each method and number of `RAYS`."""
+    world = World(scenes.cornell())
+    receivers = ElementReceivers(Elements(world, EDGE))
+    area = np.repeat(receivers.elements.area, 2)
+
+    def light(solution: Solution) -> np.ndarray:
+        return solution.quantity("irradiance").astype(float).sum(axis=1)
+
+    exact = light(solved(method("matrix_radiosity"), world, receivers, {"rays": REFERENCE_RAYS})[0])
+    out: dict[str, list[dict[str, float]]] = {name: [] for name in names}
+    for name in names:
+        for rays in RAYS:
+            solution, seconds = solved(method(name), world, receivers, {"rays": rays, "max_edge": EDGE})
+            error = math.sqrt((area @ (light(solution) - exact) ** 2) / (area @ exact**2))
+            out[name].append({"rays": solution.rays, "seconds": round(seconds, 2), "error": float(f"{error:.3g}")})
+    return out
+
+
+def cost_table(numbers: dict) -> list[str]:
+    """What an error costs each of `COMPARED`: the error falls with the root of the cost, so the last columns hardly change."""
+    out = [
+        "## Cost of an error",
+        "",
+        "The two methods that shoot rays between diffuse elements, side by side: progressive radiosity shoots from the elements with the",
+        "most unshot light, along even sets of rays; stochastic Jacobi from all at once, along random rays. Cornell box, elements of",
+        f"{EDGE:g} m; error of the irradiance, relative to full-matrix radiosity with {REFERENCE_RAYS:,} rays an element.",
+    ]
+    out += [
+        "",
+        "| method | rays | seconds | error | million rays x (error in %)^2 | seconds x (error in %)^2 |",
+        "|---|--:|--:|--:|--:|--:|",
+    ]
+    for name in COMPARED:
+        for row in numbers.get(name, {}).get("cost", ()):
+            squared = (100 * row["error"]) ** 2
+            cells = (f"{row['rays']:,}", f"{row['seconds']:.2f}", f"{row['error']:.2%}".replace("%", " %"))
+            last = (f"{row['rays'] / 1e6 * squared:.2f}", f"{row['seconds'] * squared:.2f}")
+            out.append("| " + " | ".join((method(name).spec.label, *cells, *last)) + " |")
+    return [*out, ""]
 
 
 def section(solver: Solver, numbers: dict) -> list[str]:
@@ -135,6 +191,7 @@ def page(numbers: dict) -> str:
     lines.append("")
     for solver in methods():
         lines += section(solver, numbers)
+    lines += cost_table(numbers)
     return "\n".join(lines)
 
 
@@ -143,12 +200,13 @@ def main() -> None:
     solvers.load()
     numbers = json.loads(NUMBERS.read_text()) if NUMBERS.exists() else {}
     if "--page" not in sys.argv:
-        only = [a for a in sys.argv[1:] if not a.startswith("-")]
-        for solver in methods():
-            if only and solver.spec.id not in only:
-                continue
-            numbers[solver.spec.id] = picture(solver)
-            print(solver.spec.id, numbers[solver.spec.id], flush=True)
+        only = [a for a in sys.argv[1:] if not a.startswith("-")] or [solver.spec.id for solver in methods()]
+        for name in only if "--cost" not in sys.argv else ():
+            numbers[name] = numbers.get(name, {}) | picture(method(name))
+            print(name, numbers[name], flush=True)
+        for name, rows in costs([name for name in COMPARED if name in only]).items():
+            numbers[name]["cost"] = rows
+            print(name, rows, flush=True)
         NUMBERS.parent.mkdir(parents=True, exist_ok=True)
         NUMBERS.write_text(json.dumps(numbers, indent=1) + "\n")
     (ROOT / "docs" / "methods.md").write_text(page(numbers))

@@ -20,6 +20,7 @@ MODULES: tuple[str, ...] = (
     "spherical_harmonics",
     # Shooting, nondeterministic.
     "particle_tracing",
+    "stochastic_jacobi",
     # Both.
     "multi_pass",
     "potential",

@@ -16,11 +16,12 @@ BATCH = 1 << 15  # rays in one piece of work
 
 # Every side and every shot shifts the set by its own vector, itself from an additive sequence.
 BETA = np.sqrt([2.0, 3.0, 5.0, 7.0])
+STREAMS = 1 << 24  # shifts of the set; more would not differ in float64
 
 
 def shifted_points(number: np.ndarray, stream: np.ndarray) -> np.ndarray:
     """(4, n) float64 in 0..1: point `number` (n,) of the set, shifted for `stream` (n,) int64. The same every time."""
-    return additive(number, STEPS[4], (stream % (1 << 24)) * BETA[:, None], 0.5)
+    return additive(number, STEPS[4], (stream % STREAMS) * BETA[:, None], 0.5)
 
 
 class ElementRays:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..base.parallel import in_order
-from ..elements.rays import BATCH, ElementRays
+from ..elements.rays import BATCH, STREAMS, ElementRays
 
 
 class Transport:
@@ -127,11 +127,15 @@ class RayTransport(Transport):
 
 
 class FreshRayTransport(Transport):
-    """Rays cast anew at every shot, another part of the set each time a side shoots again, and none kept."""
+    """Rays cast anew at every shot, another part of the set each time a side shoots again, and none kept.
 
-    def __init__(self, rays: ElementRays) -> None:
+    With `rng` each shot of a side shifts the set at random, so that the mean over generators is exact.
+    """
+
+    def __init__(self, rays: ElementRays, rng: np.random.Generator | None = None) -> None:
         e = rays.elements
         self.rays = rays
+        self.rng = rng
         self.area = np.repeat(e.area, 2)
         self.rho = np.repeat(e.albedo, 2, axis=0)
         self.count = 0  # rays cast so far
@@ -143,12 +147,13 @@ class FreshRayTransport(Transport):
         who = np.repeat(np.arange(len(index)), rays)
         number = np.arange(len(who)) - np.repeat(np.cumsum(rays) - rays, rays) + self._used[index][who]
         side = index[who]
+        stream = side if self.rng is None else self.rng.integers(STREAMS, size=len(index))[who]
         self._used[index] += rays
         self.count += len(who)
 
         def work(first: int) -> np.ndarray:
             part = slice(first, first + BATCH)
-            return self.rays.cast(side[part], number[part], side[part])
+            return self.rays.cast(side[part], number[part], stream[part])
 
         met = np.concatenate(list(in_order(work, range(0, len(who), BATCH))))
         share = self.area[index, None] * radiosity / rays[:, None]
