@@ -168,9 +168,9 @@ def test_manual_has_the_defaults(command):
             assert said.strip() == shown, option
 
 
-def methods_page():
-    """bench/methods_page.py as a module."""
-    spec = importlib.util.spec_from_file_location("adjgi_methods_page", ROOT / "bench" / "methods_page.py")
+def bench(name: str):
+    """A script of bench/ as a module."""
+    spec = importlib.util.spec_from_file_location(f"adjgi_{name}", ROOT / "bench" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -179,7 +179,7 @@ def methods_page():
 def test_methods_page_is_up_to_date():
     """What `python bench/methods_page.py --page` would write is what stands there."""
     solvers.load()
-    made = methods_page().page(json.loads(read("docs/data/methods.json")))
+    made = bench("methods_page").page(json.loads(read("docs/data/methods.json")))
     text = read("docs/methods.md")
     for solver in registry.methods():
         assert f"`{solver.spec.id}`" in text, f"{solver.spec.id} is missing in docs/methods.md"
@@ -205,6 +205,52 @@ def test_architecture_names_every_folder(part):
 def test_architecture_names_every_method():
     """One row a file of solvers/, in the order of the menus."""
     rows = re.findall(r"^\| `(\w+)\.py` \|", section(read("docs/architecture.md"), "`solvers/`", "## "), re.M)
+    assert rows == list(solvers.MODULES)
+
+
+def test_picture_of_the_house_is_up_to_date():
+    """What `python bench/house_picture.py` would draw is what stands there."""
+    assert bench("house_picture").svg() == read("docs/pictures/house.svg"), "run `python bench/house_picture.py`"
+
+
+NAMED = re.compile(r"`((?:core|bridge|solvers|operators|panels)(?:\.\w+)+)`")
+
+
+def exists(name: str) -> bool:
+    """Whether `folder.module.Class.function`, read from adjoint_gi/ or the root, names a function or class in the sources."""
+    parts = name.split(".")
+    for end in range(len(parts), 0, -1):
+        path = "/".join(["adjoint_gi"] * (parts[0] in ("core", "bridge")) + parts[:end]) + ".py"
+        if (ROOT / path).is_file():
+            node = ast.parse(read(path))
+            for part in parts[end:]:
+                kinds = (ast.FunctionDef, ast.ClassDef)
+                node = next((n for n in getattr(node, "body", ()) if isinstance(n, kinds) and n.name == part), None)
+            return node is not None and end < len(parts)
+    return False
+
+
+def test_architecture_names_what_exists():
+    """Every function on one texel's way, and everything else that the page names by its module."""
+    text = read("docs/architecture.md")
+    way = NAMED.findall(section(text, "One texel's way", "## "))
+    assert len(way) > 15 and way[0].startswith("operators") and way[-1].startswith("core.images")
+    assert [name for name in NAMED.findall(text) if not exists(name)] == []
+
+
+@pytest.mark.parametrize(
+    "name", ["core.scene.world.Nothing", "core.nowhere.thing", "core.scene.world", "solvers.path_tracing.PathTracing.no"]
+)
+def test_names_that_do_not_exist_are_found(name):
+    assert not exists(name)
+
+
+def test_to_add_a_method_names_what_a_method_has():
+    """The files and tables of the recipe exist, and every method is in them."""
+    recipe = section(read("docs/architecture.md"), "To add a method", "## ")
+    named = [path for path in re.findall(r"`([\w/.]+\.py)`", recipe) if "my_method" not in path]
+    assert named and all((ROOT / path).is_file() for path in named)
+    rows = re.findall(r'^    "(\w+)": Row\(', read("tests/methods/test_every_method.py"), re.M)
     assert rows == list(solvers.MODULES)
 
 
