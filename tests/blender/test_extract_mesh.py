@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-import time
-
 import bpy  # isort: split
 
 import bmesh  # importable only after bpy
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
+from adjgi.tests.counting import counted
 from adjgi.tests.cycles_patch import diffuse_material
 from mathutils import Matrix
 
@@ -460,13 +459,15 @@ def test_arrays_own_their_memory_and_the_scene_is_untouched():
 
 @pytest.mark.slow
 def test_hundred_thousand_instances_take_linear_time():
-    parent = add(new_mesh([(x, y, 0) for x in range(400) for y in range(250)], []), "parent")
-    add(new_mesh(*CUBE), "child").parent = parent
+    """Twice the instances take twice the calls, and so do fifty times as many."""
+    add(new_mesh(*CUBE), "child").parent = parent = add(new_mesh([], []), "parent")
     parent.instance_type = "VERTS"
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    start = time.perf_counter()
-    a = extract(depsgraph)
-    seconds = time.perf_counter() - start
-    assert len(a.objects) == 100_000 and len(a.triangles) == 1_200_000
-    assert a.objects[99_999].triangles.stop == 1_200_000
-    assert seconds < 20.0
+    calls = []
+    for rows in (8, 16, 400):
+        parent.data = new_mesh([(x, y, 0) for x in range(rows) for y in range(250)], [])
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        a, count = counted(lambda depsgraph=depsgraph: extract(depsgraph))
+        assert len(a.objects) == 250 * rows and len(a.triangles) == 12 * 250 * rows
+        assert a.objects[250 * rows - 1].triangles.stop == 12 * 250 * rows
+        calls.append(count)
+    assert calls[1] < 2.02 * calls[0] and calls[2] < 50.5 * calls[0]

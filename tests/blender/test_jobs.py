@@ -79,6 +79,11 @@ def ticks(until, seconds=LIMIT):
         time.sleep(0.02)
 
 
+def threads():
+    """Names of our threads that have not ended."""
+    return [t.name for t in threading.enumerate() if t.name.startswith("adjoint_gi")]
+
+
 def result():
     return bpy.context.scene.adjoint_gi.result
 
@@ -97,9 +102,9 @@ def test_it_finishes_writes_once_and_notes_the_numbers(scene):
 
 def test_partial_results_are_written_while_it_runs_but_seldom(scene):
     job = start(pause=0.002)
-    began = time.monotonic()
     ticks(lambda: len(job.bake.written) >= 2)
-    assert time.monotonic() - began >= 0.4
+    driver = job.bake.driver
+    assert driver.fraction * driver.settings.steps > 20 * len(job.bake.written)
     assert all(s.partial for s in job.bake.written)
     assert result().method == ""  # the numbers come at the end
 
@@ -107,10 +112,8 @@ def test_partial_results_are_written_while_it_runs_but_seldom(scene):
 def test_stop_keeps_the_partial_result_and_continue_goes_on(scene):
     job = start(steps=300, pause=0.005)
     ticks(lambda: job.bake.driver.fraction > 0.1)
-    began = time.monotonic()
     jobs.stop()
-    assert time.monotonic() - began < 1.0
-    assert job.state == "stopped"
+    assert job.state == "stopped" and not threads()
     assert job.bake.written[-1].partial
     assert result().partial and result().applied
     at = job.bake.driver.fraction
@@ -263,13 +266,11 @@ def test_objects_with_the_same_problem_are_named_in_one_line(scene, tmp_path, mo
     assert "and 3 more: is in Edit Mode" in str(job.notices[0]) and "kept in" in str(job.notices[1])
 
 
-def test_loading_a_file_cancels_within_a_second(scene):
+def test_loading_a_file_cancels_and_waits_for_the_thread(scene):
     job = start()
     time.sleep(0.1)
-    began = time.monotonic()
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    assert time.monotonic() - began < 2.0
-    assert (jobs.current(), job.state) == (None, "cancelled")
+    assert (jobs.current(), job.state) == (None, "cancelled") and not threads()
     assert not bpy.app.timers.is_registered(jobs._tick)
     jobs.tick()
 
@@ -326,10 +327,8 @@ def test_rendering_during_the_job(scene):
 
 def test_disabling_the_extension_during_the_job(scene, registered):
     job = start()
-    began = time.monotonic()
     registered.unregister()
-    assert time.monotonic() - began < 2.0
-    assert job.state == "cancelled" and jobs.current() is None
+    assert job.state == "cancelled" and jobs.current() is None and not threads()
     assert not bpy.app.timers.is_registered(jobs._tick)
     registered.register()
 

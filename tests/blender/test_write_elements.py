@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import bpy
 import numpy as np
 import pytest
@@ -18,16 +20,15 @@ from adjgi.adjoint_gi.core.scene.arrays import RayKind
 from adjgi.tests.baking import bake, request
 
 COARSE = {"max_edge": 0.25, "light_samples": 8}
-FEW = {
-    "matrix_radiosity": {"rays": 64, **COARSE},
-    "directional_radiosity": COARSE,
-    "two_pass": {"rays": 64, "samples": 4, **COARSE},
-    "progressive_radiosity": {"rays": 100_000, **COARSE},
-    "spherical_harmonics": COARSE,
-    "particle_tracing": {"particles": 50_000, "max_edge": 0.25},
-    "multi_pass": {"rays": 100_000, "samples": 4, **COARSE},
-    "potential": {"max_edge": 0.25, "rays": 64, "samples": 16},
-}
+SMALL = {**COARSE, "rays": 64, "samples": 4, "particles": 50_000}
+SHOOTING = {**COARSE, "rays": 100_000}  # for all elements together
+
+
+def few(method):
+    """Settings with which a method on elements takes a moment."""
+    fields = {f.name: f.default for f in dataclasses.fields(registry.method(method).Settings)}
+    values = SHOOTING if fields.get("rays", 0) >= 100_000 else SMALL
+    return {name: value for name, value in values.items() if name in fields}
 
 
 def shadow(scale=(1, 1, 1)):
@@ -55,7 +56,7 @@ def shadow(scale=(1, 1, 1)):
 
 def elements_of(obj, method="progressive_radiosity", values=None, **more):
     """Bake the elements of `obj`; the bake, and the result object."""
-    settings = FEW[method] if values is None else values
+    settings = few(method) if values is None else values
     done = bake(request(method, "attribute", settings, new_object=True, **more))
     return done, result_object(obj)
 
@@ -200,7 +201,7 @@ def test_a_second_bake_updates_the_object_and_removing_leaves_nothing():
     _, made = elements_of(floor, objects=("Floor",))
     _, again = elements_of(floor, objects=("Floor",), quantity="direct", attribute="Direct")
     assert again == made and linked_attribute(made, "irradiance") and linked_attribute(made, "direct") == "Direct"
-    _, finer = elements_of(floor, values={**FEW["progressive_radiosity"], "max_edge": 0.125}, objects=("Floor",))
+    _, finer = elements_of(floor, values={**few("progressive_radiosity"), "max_edge": 0.125}, objects=("Floor",))
     assert finer == made and len(made.data.polygons) == 64 and linked_attribute(made, "direct") is None
     assert len(bpy.data.meshes) == before["meshes"] + 1
     assert remove_result_object(floor)
@@ -223,7 +224,7 @@ def test_partial_results_show_the_elements_while_they_are_cut():
 
 def test_an_object_edited_meanwhile_is_named():
     floor = shadow()
-    made = Bake(bpy.context, request("progressive_radiosity", "attribute", FEW["progressive_radiosity"], new_object=True))
+    made = Bake(bpy.context, request("progressive_radiosity", "attribute", few("progressive_radiosity"), new_object=True))
     solution = made.driver.run()
     floor.data.clear_geometry()
     bpy.context.view_layer.update()

@@ -32,8 +32,9 @@ class Counting(Solver):
 
     spec = Spec()
 
-    def __init__(self, seconds=0.01, fail_at=None, steps=STEPS):
-        self.seconds, self.fail_at, self.steps = seconds, fail_at, steps
+    def __init__(self, seconds=0.01, fail_at=None, steps=STEPS, wait=None):
+        self.seconds, self.fail_at, self.steps, self.wait = seconds, fail_at, steps, wait
+        self.done = 0
         self.closed = False
         self.threads = set()
         self.inside = False
@@ -54,8 +55,11 @@ class Counting(Solver):
                 if self.fail_at == k:
                     raise ZeroDivisionError("in the middle")
                 total += rng.random(total.shape, np.float32)
+                if self.wait is not None:
+                    self.wait.wait(10)
                 time.sleep(self.seconds)
                 self.inside = False
+                self.done = k
                 yield Step(k / self.steps, f"step {k}", lambda k=k: solution(k))
         finally:
             self.closed = True
@@ -104,11 +108,12 @@ def test_background_and_foreground_give_the_same_result(world):
 
 def test_stop_keeps_the_partial_result_and_continue_ends_where_an_unstopped_run_ends(world):
     d = driver(world, Counting(0.02))
+    began = time.perf_counter()
     d.start()
     time.sleep(0.15)
-    began = time.monotonic()
+    done = d.solver.done
     assert d.stop()
-    assert time.monotonic() - began < 0.5
+    assert d.solver.done <= done + 2  # the step under way, and one that may have begun meanwhile
     assert d.state == "stopped" and 0 < d.fraction < 1
     partial = d.solution()
     assert partial.partial and partial.rays == round(d.fraction * STEPS) * 10
@@ -120,7 +125,7 @@ def test_stop_keeps_the_partial_result_and_continue_ends_where_an_unstopped_run_
     assert not d.solution().partial
     assert np.array_equal(d.solution().direct, driver(world, Counting(0)).run().direct)
     assert np.all(d.solution().direct >= partial.direct)
-    assert d.seconds == pytest.approx(STEPS * 0.02, rel=0.5)
+    assert STEPS * 0.02 <= d.seconds <= time.perf_counter() - began - 0.05  # the pause does not count
 
 
 @pytest.mark.parametrize("steps", [1, STEPS // 2, STEPS - 1])
@@ -175,13 +180,12 @@ def test_cancel_drops_everything(world):
 
 
 def test_cancel_of_a_long_step_returns_and_the_thread_ends_by_itself(world):
-    solver = Counting(0.6)
+    solver = Counting(0.0, wait=threading.Event())
     d = driver(world, solver)
     d.start()
-    time.sleep(0.1)
-    began = time.monotonic()
     assert not d.cancel(0.05)
-    assert time.monotonic() - began < 0.4
+    assert not solver.closed and d.state == "running"
+    solver.wait.set()
     wait(d, "idle")
     assert solver.closed and d.solution() is None
 
