@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from functools import partial
 
 import numpy as np
 import pytest
@@ -20,25 +21,13 @@ from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Mater
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.radiance import Walk, gather, lobes_of
-from adjgi.tests import scenes
+from adjgi.tests import scenes, solving
+from adjgi.tests.solving import on_elements
 
 solvers.load()
 
 FAST = {"bin_rows": 3, "bin_columns": 6, "rays": 4, "tolerance": 1e-8}
-
-
-def on_elements(scene, edge=10.0):
-    return ElementReceivers(Elements(World(scene), edge))
-
-
-def states(receivers, name="directional_radiosity", **options):
-    solver = method(name)
-    world = receivers.elements.world if hasattr(receivers, "elements") else receivers.world
-    return list(solver.solve(world, receivers, solver.Settings(**options), np.random.default_rng(0)))
-
-
-def solve(receivers, **options):
-    return states(receivers, **{**FAST, **options})[-1].solution()
+solve = partial(solving.solve, "directional_radiosity", **FAST)
 
 
 def glossy_room(roughness=0.5, light=1.0, camera=None):
@@ -194,7 +183,7 @@ WALKED_ERROR = 0.0018
 )
 def test_glossy_room_agrees_with_walks_at_elements(name, options):
     receivers = on_elements(glossy_room(), 0.25)
-    got = states(receivers, name, **options)[-1].solution().quantity("irradiance")[0::2]
+    got = solving.solve(name, receivers, **options).quantity("irradiance")[0::2]
     e = receivers.elements
     means = [np.average(got[e.patch == face], axis=0, weights=e.area[e.patch == face]) for face in range(6)]
     assert np.abs(np.array(means) - WALKED).max() < 5 * WALKED_ERROR + 0.005
@@ -296,7 +285,7 @@ def test_the_same_result_for_any_number_of_threads(monkeypatch):
 
 def test_steps_partial_results_and_notices():
     receivers = on_elements(glossy_room(), 0.2)
-    steps = states(receivers, tolerance=1e-9, max_iterations=2)
+    steps = list(solving.steps("directional_radiosity", receivers, tolerance=1e-9, max_iterations=2))
     assert steps[-1].fraction == 1.0 and not steps[-1].solution().partial
     assert all(a.fraction <= b.fraction + 1e-9 for a, b in zip(steps, steps[1:], strict=False))
     assert any("stopped after 2 iterations" in str(x) for x in steps[-1].solution().warnings)

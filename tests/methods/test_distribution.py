@@ -4,40 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from functools import partial
 
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.bsdf import microfacet
 from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
-from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.sampling.sets import KINDS
-from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
+from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.radiance import Walk, gather, lobes_of
 from adjgi.solvers import distribution  # noqa: F401
-from adjgi.tests import scenes
+from adjgi.tests import scenes, solving
+from adjgi.tests.solving import view
 from adjgi.tests.surface_points import receivers_at
 
 Z = 4.0  # standard deviations that a sound method exceeds once in three hundred runs of the 50 z-tests here
-AXES = {"axis_x": (1, 0, 0), "axis_y": (0, 1, 0), "axis_z": (0, 0, 1)}
 SAMPLING = [kind for kind, _, _ in KINDS]
-
-
-def solve(world, receivers, seed=1, **options):
-    solver = method("distribution")
-    *_, last = solver.solve(world, receivers, solver.Settings(**options), np.random.default_rng(seed))
-    return last.solution()
-
-
-def agrees(values, expected, bias=0.0, resolution=0.004):
-    """Z-test of the mean of independent values (n,), which must be able to see about a percent."""
-    values = np.asarray(values, float)
-    mean, error = values.mean(), values.std(ddof=1) / math.sqrt(len(values))
-    assert error <= resolution * abs(expected), f"standard error {error} cannot tell {expected}"
-    assert abs(mean - expected) <= Z * error + bias, f"{mean} is not {expected}, standard error {error}"
+solve = partial(solving.solve, "distribution", seed=1)
+agrees = partial(solving.agrees, z=Z)
 
 
 # ---- direct light (verification page, 2.2)
@@ -48,13 +36,13 @@ def above_floor(kind):
     b = SceneBuilder()
     b.quad("Floor", (-4, -4, 0), (8, 0, 0), (0, 8, 0), diffuse("Floor", 0.5))
     if kind == "square":
-        b.light(Light("Lamp", "area", (2, 2, 2), (0.5, 0.5, 1), **AXES, size_x=1, size_y=1))
+        b.light(Light("Lamp", "area", (2, 2, 2), (0.5, 0.5, 1), size_x=1, size_y=1))
         return b, (0.5, 0.5, 0), 2 * math.pi * 0.23945647046077354
     if kind == "corner of a mesh":
         b.quad("Lamp", (0, 0, 1), (0, 1, 0), (1, 0, 0), diffuse("Lamp", 0, 2))
         return b, (0, 0, 0), 2 * math.pi * 0.13853160599489298
     if kind == "disk":
-        b.light(Light("Lamp", "area", (3, 3, 3), (0, 0, 2), **AXES, size_x=2, size_y=2, shape="ELLIPSE"))
+        b.light(Light("Lamp", "area", (3, 3, 3), (0, 0, 2), size_x=2, size_y=2, shape="ELLIPSE"))
         return b, (0, 0, 0), 3 * math.pi / 5
     if kind == "sphere":
         b.light(Light("Lamp", "point", (math.pi,) * 3, (0, 0, 3), radius=1.0))
@@ -96,7 +84,7 @@ def test_a_mirror_in_the_coat_does_not_count_lamps_twice(split_depth, joined):
     b = SceneBuilder()
     mixed = Material("Mixed", (Lobe("diffuse", Color.of(0.5)), Lobe("glossy", Color.of(0.4), 0.0)))
     b.quad("Floor", (-4, -4, 0), (8, 0, 0), (0, 8, 0), mixed)
-    b.light(Light("Lamp", "area", (2, 2, 2), (0, 0, 1), **AXES, size_x=1, size_y=1))
+    b.light(Light("Lamp", "area", (2, 2, 2), (0, 0, 1), size_x=1, size_y=1))
     world, camera = view(b, (-0.8, 0, 0.8), (1, 0, -1), 1e-3, 20)
     found = solve(world, camera, samples=16, joined=joined, split_depth=split_depth).quantity("radiance")[:, 0]
     agrees(found, 0.5 * 2 * 0.23945647046077354)
@@ -154,15 +142,6 @@ def test_two_zone_sphere():
     found = solve(world, SurfaceReceivers("texels", np.arange(n + 1), np.arange(n), third, third), samples=4)
     # Flat triangles lie inside the ball: their share of what they see of each other leaves a bias of a quarter percent.
     agrees(found.quantity("irradiance")[:, 0] * world.area / world.area.mean(), 1.0, bias=0.003)
-
-
-def view(b, position, forward, half, size, kind="perspective", **lens):
-    f = np.asarray(forward, float) / np.linalg.norm(forward)
-    r = np.cross(f, (0, 0, 1) if abs(f[2]) < 0.9 else (0, 1, 0))
-    r /= np.linalg.norm(r)
-    b.camera = Camera(kind, tuple(position), tuple(r), tuple(np.cross(r, f)), tuple(f), (-half, half, -half, half), size, size, **lens)
-    world = World(b.build())
-    return world, CameraReceivers(world)
 
 
 @pytest.mark.parametrize("joined", [True, False])
@@ -245,7 +224,7 @@ def test_agrees_with_single_walks(roughness, options):
     """
     world = glossy_cornell(20, roughness)
     camera = CameraReceivers(world)
-    runs = [solve(world, camera, seed, samples=9, max_length=5, **options).quantity("radiance") for seed in range(6)]
+    runs = [solve(world, camera, seed=seed, samples=9, max_length=5, **options).quantity("radiance") for seed in range(6)]
 
     def blocks(pictures):
         return np.array(pictures).reshape(6, 4, 5, 4, 5, 3).mean(axis=(2, 4, 5))
@@ -309,7 +288,7 @@ def test_a_seed_gives_the_same_bits_for_any_number_of_threads(monkeypatch, sampl
     found = []
     for threads, seed in (("1", 1), ("2", 1), ("2", 2)):
         monkeypatch.setenv("ADJOINT_GI_THREADS", threads)
-        found.append(solve(world, CameraReceivers(world), seed, samples=4, sampling=sampling).quantity("radiance"))
+        found.append(solve(world, CameraReceivers(world), seed=seed, samples=4, sampling=sampling).quantity("radiance"))
     np.testing.assert_array_equal(found[0], found[1])
     assert not np.array_equal(found[1], found[2])
 

@@ -20,7 +20,7 @@ from adjgi.adjoint_gi.core.receivers.vertices import vertex_receivers
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, SceneArrays
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
-from adjgi.solvers import MODULES
+from adjgi.solvers import MODULES, load
 from adjgi.tests import scenes
 from adjgi.tests.solving import bits, front_means, look, on_elements, scattered, solve, solved_by_threads, steps
 
@@ -183,6 +183,12 @@ CASES = [
     for title, percent in zip(SCENES, row.percent, strict=True)
     if percent is not None and row.kind in SCENES[title].exact
 ]
+
+
+def test_filling_the_registry_twice_changes_nothing():
+    before = [method(name) for name in MODULES]
+    load()
+    assert [method(name) for name in MODULES] == before
 
 
 def test_every_method_has_a_row():

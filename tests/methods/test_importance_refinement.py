@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import SettingsError
@@ -11,14 +13,14 @@ from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.radiosity import importance as adaptive
 from adjgi.adjoint_gi.core.radiosity.lamp_light import LampLight
-from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Light
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
-from adjgi.solvers import load
-from adjgi.tests import scenes
+from adjgi.tests import scenes, solving
+from adjgi.tests.solving import grid, quad_points
 
-load()
+solve = partial(solving.solve, "progressive_radiosity", max_edge=0.75, direct_light="elements", rays=400_000)
 
 
 def two_rooms():
@@ -29,24 +31,6 @@ def two_rooms():
         b.box(f"{name} block", (k + 1.2, 1.2, 0.6), (k + 1.8, 1.8, 0.7), diffuse(f"{name} block", 0.5), inward=False)
         b.light(Light(f"{name} lamp", "point", (5.0, 5.0, 5.0), (k + 1.5, 1.5, 1.6)))
     return World(b.build())
-
-
-def points_on(world, name, per_side=24):
-    """A grid of point receivers on the first quad of an object."""
-    obj = next(o for o in world.scene.objects if o.name == name)
-    g = (np.arange(per_side) + 0.5) / per_side
-    s, t = (a.ravel() for a in np.meshgrid(g, g))
-    first = s > t
-    triangle = np.where(first, obj.first_triangle, obj.first_triangle + 1)
-    u, v = np.where(first, s - t, s), np.where(first, t, t - s)
-    return SurfaceReceivers("texels", np.arange(len(s) + 1), triangle, u, v)
-
-
-def solve(world, receivers, **options):
-    solver = method("progressive_radiosity")
-    settings = solver.Settings(**{"max_edge": 0.75, "direct_light": "elements", "rays": 400_000, **options})
-    *_, last = solver.solve(world, receivers, settings, np.random.default_rng(0))
-    return last.solution()
 
 
 def elements_used(world, important=""):
@@ -82,7 +66,7 @@ def test_importance_is_high_where_the_receivers_light_comes_from():
 
 def test_refinement_by_the_potential_never_worsens_the_receivers_light():
     world = two_rooms()
-    receivers = points_on(world, "Near room -z")
+    receivers = quad_points(*grid(24), first=next(o.first_triangle for o in world.scene.objects if o.name == "Near room -z"))
     tracer = method("path_tracing")
     *_, last = tracer.solve(world, receivers, tracer.Settings(samples=512), np.random.default_rng(3))
     truth = last.solution().quantity("irradiance").astype(float)

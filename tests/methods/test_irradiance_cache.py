@@ -1,6 +1,7 @@
 """Irradiance caching: exact where irradiance is constant, converging with its accuracy, indifferent to threads."""
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,10 +9,10 @@ from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.irradiance_records import RecordIndex, Records
-from adjgi.solvers import load
-from adjgi.tests import scenes
+from adjgi.tests import scenes, solving
+from adjgi.tests.solving import grid, quad_points
 
-load()
+bake = partial(solving.solve, "irradiance_cache", light_samples=64)
 
 
 def points_on(world, per_triangle, seed=0):
@@ -21,14 +22,6 @@ def points_on(world, per_triangle, seed=0):
     a, b = rng.random((2, len(triangle)))
     s = np.sqrt(a)
     return SurfaceReceivers("texels", np.arange(len(triangle) + 1), triangle, 1 - s, b * s)
-
-
-def bake(world, receivers, **settings):
-    solver = method("irradiance_cache")
-    values = solver.Settings(**{"light_samples": 64, **settings})
-    for step in solver.solve(world, receivers, values, np.random.default_rng(values.seed)):
-        last = step
-    return last.solution()
 
 
 @pytest.mark.parametrize("accuracy", [1.0, 0.3])
@@ -55,27 +48,10 @@ def test_two_zone_sphere():
     assert np.average(total, weights=world.area) == pytest.approx(expected, rel=0.015)
 
 
-def reference(world, receivers):
-    solver = method("path_tracing")
-    *_, last = solver.solve(world, receivers, solver.Settings(samples=4096), np.random.default_rng(5))
-    return last.solution().indirect.astype(float)
-
-
-def floor_points(world):
-    """A grid of points on the open floor of the Cornell box."""
-    g = (np.arange(12) + 0.5) / 12
-    x, y = (a.ravel() for a in np.meshgrid(g, g))
-    # The floor's triangles are 0 (x > y) and 1.
-    first = x > y
-    u = np.where(first, x - y, x)
-    v = np.where(first, y, y - x)
-    return SurfaceReceivers("texels", np.arange(len(x) + 1), np.where(first, 0, 1), u, v)
-
-
 def test_error_falls_with_accuracy_and_gradients_help():
     world = World(scenes.cornell(boxes=False))
-    receivers = floor_points(world)
-    truth = reference(world, receivers)
+    receivers = quad_points(*grid(12))
+    truth = solving.solve("path_tracing", world, receivers, seed=5, samples=4096).indirect.astype(float)
 
     def error(**settings):
         out = bake(world, receivers, rays=8000, min_spacing=1e-4, light_samples=1, **settings).indirect.astype(float)

@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import local_illumination  # noqa: F401
-from adjgi.tests import scenes
+from adjgi.tests import scenes, solving
 from adjgi.tests.surface_points import receivers_at
 
-AXES = {"axis_x": (1, 0, 0), "axis_y": (0, 1, 0), "axis_z": (0, 0, 1)}
-
-
-def solve(world, receivers, **options):
-    solver = method("local_illumination")
-    *_, last = solver.solve(world, receivers, solver.Settings(**options), np.random.default_rng(0))
-    return last.solution()
+solve = partial(solving.solve, "local_illumination")
 
 
 def floor(*lights, material=None, extra=None):
@@ -56,7 +50,7 @@ CIE_5_2 = {
 def test_cie_171_case_5_2():
     """A Lambertian point source of 1000 cd at 3 m, as a square of 1 cm: E = 1000 * 9 / d^4."""
     side = 0.01
-    lamp = Light("Lamp", "area", (1000 / side**2,) * 3, (0, 0, 3), **AXES, size_x=side, size_y=side)
+    lamp = Light("Lamp", "area", (1000 / side**2,) * 3, (0, 0, 3), size_x=side, size_y=side)
     found = irradiance(floor(lamp), [(x, y, 0) for x, y in CIE_5_2], light_points=1)
     np.testing.assert_allclose(found, list(CIE_5_2.values()), rtol=1e-4)
 
@@ -72,7 +66,7 @@ def test_isotropic_point_lamp():
 @pytest.mark.parametrize(("at", "factor"), [((0.5, 0.5), 0.23945647046077354), ((0, 0), 0.13853160599489298)])
 def test_area_lamp_within_the_error_of_the_sum(at, factor):
     """Unit square at distance 1: the error of the sum over light points falls, to half a percent at 256."""
-    lamp = Light("Lamp", "area", (2, 2, 2), (0.5, 0.5, 1), **AXES, size_x=1, size_y=1)
+    lamp = Light("Lamp", "area", (2, 2, 2), (0.5, 0.5, 1), size_x=1, size_y=1)
     errors = [abs(irradiance(floor(lamp), [(*at, 0)], light_points=k)[0] / (2 * math.pi * factor) - 1) for k in (1, 16, 256)]
     assert errors[0] < 0.5
     assert errors[1] < 0.15

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,10 +14,11 @@ from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceive
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
-from adjgi.solvers import load
-from adjgi.tests import scenes
+from adjgi.tests import scenes, solving
 
-load()
+solve = partial(solving.solve, "matrix_radiosity", rays=128, tolerance=1e-14)
+states = partial(solving.steps, "matrix_radiosity", rays=128, tolerance=1e-14)
+face_means = solving.front_means
 
 
 def on_elements(scene, edge=10.0, exact=None):
@@ -27,26 +29,6 @@ def on_elements(scene, edge=10.0, exact=None):
         elements.albedo = np.repeat(np.broadcast_to(exact, 6)[elements.patch][:, None], 3, axis=1).astype(float)
         elements.emitted = np.round(elements.emitted, 6)
     return ElementReceivers(elements)
-
-
-def states(receivers, **options):
-    """All steps."""
-    solver = method("matrix_radiosity")
-    options = {"rays": 128, "tolerance": 1e-14, **options}
-    world = receivers.elements.world if hasattr(receivers, "elements") else receivers.world
-    return list(solver.solve(world, receivers, solver.Settings(**options), np.random.default_rng(0)))
-
-
-def solve(receivers, **options):
-    """The finished solution."""
-    return states(receivers, **options)[-1].solution()
-
-
-def face_means(receivers, values):
-    """(6,) means over the fronts of the faces of a box."""
-    e = receivers.elements
-    front = values[0::2, 0].astype(float)
-    return np.bincount(e.patch, e.area * front, 6) / np.bincount(e.patch, e.area, 6)
 
 
 # Solutions are handed over as float32.
@@ -260,7 +242,7 @@ def test_other_lobes_are_named():
 
 def test_steps_lead_to_the_end_and_every_partial_result_is_sound():
     receivers = on_elements(scenes.cornell(), 0.3)
-    steps = states(receivers)
+    steps = list(states(receivers))
     fractions = [s.fraction for s in steps]
     assert fractions == sorted(fractions)
     assert fractions[-1] == 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
@@ -17,23 +18,10 @@ from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks import gathering, radiance
-from adjgi.solvers import load
-from adjgi.tests import scenes
+from adjgi.tests import scenes, solving
 
-load()
-
-
-def steps(receivers, **options):
-    """Steps of a solve."""
-    solver = method("multi_pass")
-    world = receivers.elements.world if hasattr(receivers, "elements") else receivers.world
-    return solver.solve(world, receivers, solver.Settings(**options), np.random.default_rng(0))
-
-
-def solve(receivers, **options):
-    """The finished solution."""
-    *_, last = steps(receivers, **options)
-    return last.solution()
+steps = partial(solving.steps, "multi_pass")
+solve = partial(solving.solve, "multi_pass")
 
 
 def cavity():

@@ -14,7 +14,8 @@ from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Mater
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
-from adjgi.tests.methods.test_path_tracing import PI, Z, check, scattered, solve
+from adjgi.tests.methods.test_path_tracing import PI, Z, check, solve
+from adjgi.tests.solving import scattered
 
 solvers.load()
 
@@ -111,7 +112,7 @@ def test_without_a_variance_reduction_the_mean_is_the_same_and_the_noise_higher(
 
 def runs(world, receivers, count=12, **options):
     """(count, n) irradiance by independent seeds."""
-    return np.array([solve(world, receivers, seed, **options).quantity("irradiance")[:, 0] for seed in range(count)], float)
+    return np.array([solve(world, receivers, seed=seed, **options).quantity("irradiance")[:, 0] for seed in range(count)], float)
 
 
 def noise(values):

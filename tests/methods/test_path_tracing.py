@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import warnings
+from functools import partial
 
 import numpy as np
 import pytest
-from adjgi import solvers
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
@@ -16,38 +16,13 @@ from adjgi.adjoint_gi.core.scene.arrays import Camera, Light
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import path_tracing as module
-from adjgi.tests import scenes
+from adjgi.tests import scenes, solving
+from adjgi.tests.solving import bits, scattered
 
 # Standard deviations that a sound method exceeds once in a thousand runs of the 50 z-tests here (Sidak).
 Z = 4.3
 PI = math.pi
-
-
-@pytest.fixture(scope="module", autouse=True)
-def loaded():
-    """The registry is filled, and filling it twice changes nothing."""
-    solvers.load()
-    before = method("path_tracing")
-    solvers.load()
-    assert method("path_tracing") is before
-
-
-def solve(world, receivers, seed=1, **options):
-    """The finished solution."""
-    solver = method("path_tracing")
-    settings = solver.Settings(seed=seed, **{"samples": 64, **options})
-    *_, last = solver.solve(world, receivers, settings, np.random.default_rng(seed))
-    return last.solution()
-
-
-def scattered(world, count, seed=0, triangles=None):
-    """Receivers at uniform random points of all (or some) triangles."""
-    rng = np.random.default_rng(seed)
-    area = world.area if triangles is None else np.where(triangles, world.area, 0)
-    k = rng.choice(len(area), count, p=area / area.sum())
-    u, v = rng.random((2, count))
-    flip = u + v > 1
-    return SurfaceReceivers("vertices", np.arange(count + 1), k, np.where(flip, 1 - u, u), np.where(flip, 1 - v, v))
+solve = partial(solving.solve, "path_tracing", seed=1, samples=64)
 
 
 def check(values, exact, bias=0.0, resolution=0.003):
@@ -343,10 +318,6 @@ def test_stratified_numbers_are_better_than_random_ones(monkeypatch):
 
 
 # ---- bits, steps, hostile input
-
-
-def bits(s):
-    return b"".join(np.ascontiguousarray(a).tobytes() for a in (s.emitted, s.direct, s.indirect, s.albedo, s.weight))
 
 
 def test_same_seed_same_bits_on_one_and_two_threads(monkeypatch):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import SceneError
-from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.elements.elements import Elements
 from adjgi.adjoint_gi.core.elements.mesh import element_mesh
 from adjgi.adjoint_gi.core.elements.refinement import RefinedElements
 from adjgi.adjoint_gi.core.lights.direct import direct_irradiance
@@ -13,32 +15,15 @@ from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.radiosity import importance as adaptive
 from adjgi.adjoint_gi.core.radiosity.southwell import LARGEST_BATCH
-from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.scene.arrays import Light, RayKind
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
+from adjgi.adjoint_gi.core.scene.arrays import Light
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
-from adjgi.solvers import load
-from adjgi.tests import scenes
+from adjgi.tests import scenes, solving
+from adjgi.tests.solving import grid, on_elements, quad_points
 
-load()
-
-
-def on_elements(scene, edge=10.0):
-    """The elements of the scene as receivers."""
-    return ElementReceivers(Elements(World(scene), edge))
-
-
-def states(receivers, name="progressive_radiosity", **options):
-    """Steps of a solve, one by one."""
-    solver = method(name)
-    world = receivers.elements.world if hasattr(receivers, "elements") else receivers.world
-    return solver.solve(world, receivers, solver.Settings(**options), np.random.default_rng(0))
-
-
-def solve(receivers, name="progressive_radiosity", **options):
-    """The finished solution."""
-    *_, last = states(receivers, name, **options)
-    return last.solution()
+solve = partial(solving.solve, "progressive_radiosity")
+states = partial(solving.steps, "progressive_radiosity")
 
 
 def sphere_irradiance(receivers, solution):
@@ -128,7 +113,7 @@ def test_ten_face_means():
 def test_it_comes_to_the_full_matrix(overshoot):
     receivers = on_elements(scenes.cornell(), 0.15)
     a = solve(receivers, rays=2_000_000, tolerance=1e-5, overshoot=overshoot)
-    b = solve(receivers, "matrix_radiosity", rays=4096)
+    b = solving.solve("matrix_radiosity", receivers, rays=4096)
     area = np.repeat(receivers.elements.area, 2)[:, None]
     for part in ("direct", "indirect"):
         x, y = (area * getattr(s, part).astype(float) for s in (a, b))
@@ -263,19 +248,10 @@ def half_shadow(width=64):
     return b.build()
 
 
-def floor_texels(world, count=48):
-    """Points of the floor in a grid, each a receiver."""
-    x = (np.arange(count) + 0.5) / count
-    x, y = (a.ravel() for a in np.meshgrid(x, x))
-    origin = np.stack([x, y, np.full(len(x), 0.01)], axis=1) - world.center
-    triangle, u, v, _ = world.intersect(origin.astype(np.float32), np.tile(np.array([[0, 0, -1]], np.float32), (len(x), 1)), RayKind.CAMERA)
-    return SurfaceReceivers("texels", np.arange(len(x) + 1), triangle, u, v)
-
-
 def adaptive_errors():
     """(faces of the mesh, root mean square error of direct light on the floor) for a uniform and an adaptive mesh; the last solution."""
     world = World(half_shadow())
-    receivers = floor_texels(world)
+    receivers = quad_points(*grid(48))
     surface = world.surface(receivers.triangle, receivers.u, receivers.v)
     truth = direct_irradiance(world, Emitters(world), surface, 512, np.random.default_rng(0))[0]
     solver = method("progressive_radiosity")
@@ -332,7 +308,7 @@ def test_subdivision_with_bounded_lengths():
     for longest in (0, 1, 3):
         solver = method("progressive_radiosity")
         settings = solver.Settings(direct_light="elements", rays=100_000, adaptive=True, max_edge=0.2, max_length=longest, tolerance=0.0)
-        *_, last = solver.solve(world, floor_texels(world, 8), settings, np.random.default_rng(0))
+        *_, last = solver.solve(world, quad_points(*grid(8)), settings, np.random.default_rng(0))
         s = last.solution()
         assert s.balance.gap < 1e-9
         assert s.direct.any() == (longest >= 1)
@@ -344,7 +320,7 @@ def test_subdivision_that_meets_its_limit_says_so(monkeypatch):
     world = World(half_shadow())
     solver = method("progressive_radiosity")
     settings = solver.Settings(direct_light="elements", rays=100_000, adaptive=True, max_edge=0.1, contrast=0.05)
-    *_, last = solver.solve(world, floor_texels(world, 8), settings, np.random.default_rng(0))
+    *_, last = solver.solve(world, quad_points(*grid(8)), settings, np.random.default_rng(0))
     s = last.solution()
     assert any("subdivision stopped" in str(w) for w in s.warnings)
     assert len(s.extra["mesh_start"]) - 1 <= 2 * Elements(world, 0.1).count

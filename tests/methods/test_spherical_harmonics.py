@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import tracemalloc
+from functools import partial
 
 import numpy as np
 import pytest
@@ -26,25 +27,14 @@ from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Mater
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.radiance import Walk, gather, lobes_of
-from adjgi.tests import scenes
+from adjgi.tests import scenes, solving
+from adjgi.tests.solving import on_elements
 
 solvers.load()
 
 FAST = {"rays": 100_000, "tolerance": 1e-3, "order": 2}
-
-
-def on_elements(scene, edge=10.0):
-    return ElementReceivers(Elements(World(scene), edge))
-
-
-def states(receivers, name="spherical_harmonics", **options):
-    solver = method(name)
-    world = receivers.elements.world if hasattr(receivers, "elements") else receivers.world
-    return list(solver.solve(world, receivers, solver.Settings(**options), np.random.default_rng(0)))
-
-
-def solve(receivers, **options):
-    return states(receivers, **{**FAST, **options})[-1].solution()
+solve = partial(solving.solve, "spherical_harmonics", **FAST)
+states = partial(solving.steps, "spherical_harmonics")
 
 
 def glossy_room(roughness=0.6, camera=None, glossy=0.7, base=0.1):
@@ -101,7 +91,7 @@ def test_diffuse_walls_equal_progressive_radiosity_on_the_same_rays(order, low, 
     if (low, high) == (0, NO_LIMIT):
         receivers = ElementReceivers(elements)
         a = solve(receivers, order=order, rays=400_000, tolerance=1e-4).quantity("irradiance")
-        b = states(receivers, "progressive_radiosity", rays=400_000, tolerance=1e-4)[-1].solution().quantity("irradiance")
+        b = solving.solve("progressive_radiosity", receivers, rays=400_000, tolerance=1e-4).quantity("irradiance")
         assert np.allclose(a[0::2], b[0::2], rtol=0.02)
 
 
@@ -274,7 +264,7 @@ def test_the_same_result_for_any_number_of_threads(monkeypatch):
 
 def test_notices_and_empty_scenes():
     receivers = on_elements(glossy_room(), 0.5)
-    steps = states(receivers, max_shots=3)
+    steps = list(states(receivers, max_shots=3))
     assert any("stopped after 3 shots" in str(x) for x in steps[-1].solution().warnings)
     assert steps[-1].fraction == 1.0 and not steps[-1].solution().partial
     assert len(solve(on_elements(SceneBuilder().build())).direct) == 0

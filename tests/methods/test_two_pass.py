@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.bsdf import table as bsdf
-from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.elements.elements import Elements
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
@@ -16,26 +17,12 @@ from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks import radiance
 from adjgi.adjoint_gi.core.walks.mirror_chains import Chains
-from adjgi.solvers import load
-from adjgi.tests import scenes
-
-load()
-from adjgi.solvers.two_pass import FirstPass  # noqa: E402
+from adjgi.solvers.two_pass import FirstPass
+from adjgi.tests import scenes, solving
+from adjgi.tests.solving import on_elements
 
 MIRROR = Material("Mirror", (Lobe("glossy", Color.of(1, 1, 1), 0.0),))
-
-
-def on_elements(scene, edge=10.0):
-    """The elements of the scene as receivers."""
-    return ElementReceivers(Elements(World(scene), edge))
-
-
-def solve(receivers, **options):
-    """The finished solution."""
-    solver = method("two_pass")
-    world = receivers.elements.world if hasattr(receivers, "elements") else receivers.world
-    *_, last = solver.solve(world, receivers, solver.Settings(**options), np.random.default_rng(0))
-    return last.solution()
+solve = partial(solving.solve, "two_pass")
 
 
 def first_pass(scene, edge=10.0, **options):

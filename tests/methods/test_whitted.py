@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,15 +14,10 @@ from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Mater
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import whitted as module
-from adjgi.tests import scenes
+from adjgi.tests import scenes, solving
 
-AXES = {"axis_x": (1, 0, 0), "axis_y": (0, 1, 0), "axis_z": (0, 0, 1)}
-
-
-def solve(world, receivers, **options):
-    solver = method("whitted")
-    *_, last = solver.solve(world, receivers, solver.Settings(**options), np.random.default_rng(0))
-    return last.solution()
+solve = partial(solving.solve, "whitted")
+camera = partial(solving.view, grid=1)
 
 
 def mirror(rho, emission=0.0, roughness=0.0, name="Mirror"):
@@ -29,16 +25,6 @@ def mirror(rho, emission=0.0, roughness=0.0, name="Mirror"):
     if emission:
         lobes.append(Lobe("emission", Color.of(emission)))
     return Material(name, tuple(lobes))
-
-
-def camera(b, position, forward, half=0.5, size=8, kind="perspective"):
-    """A square camera; `half` is half its width, at distance 1 or in metres."""
-    f = np.asarray(forward, float) / np.linalg.norm(forward)
-    r = np.cross(f, (0, 0, 1) if abs(f[2]) < 0.9 else (0, 1, 0))
-    r /= np.linalg.norm(r)
-    b.camera = Camera(kind, tuple(position), tuple(r), tuple(np.cross(r, f)), tuple(f), (-half, half, -half, half), size, size)
-    world = World(b.build())
-    return world, CameraReceivers(world, grid=1)
 
 
 def radiance(world, receivers, **options):
@@ -150,7 +136,7 @@ def test_lamps_are_seen_in_mirrors(kind):
     b = SceneBuilder()
     b.quad("Mirror", (-2, -2, 0), (4, 0, 0), (0, 4, 0), mirror(0.9))
     if kind == "area":
-        b.light(Light("Lamp", "area", (5, 5, 5), (1, 0, 1), **AXES, size_x=0.5, size_y=0.5))
+        b.light(Light("Lamp", "area", (5, 5, 5), (1, 0, 1), size_x=0.5, size_y=0.5))
     elif kind == "sphere":
         b.light(Light("Lamp", "point", (5 * math.pi * 0.04,) * 3, (1, 0, 1), radius=0.2))
     else:
@@ -259,7 +245,7 @@ def test_glass_in_a_uniform_world_is_invisible():
 def rough_scene(roughness):
     b = SceneBuilder()
     b.quad("Plate", (-2, -2, 0), (4, 0, 0), (0, 4, 0), Material("Brushed", (Lobe("metallic", Color.of(0.6), roughness),)))
-    b.light(Light("Lamp", "area", (5, 5, 5), (1, 0, 1), **AXES, size_x=0.5, size_y=0.5))
+    b.light(Light("Lamp", "area", (5, 5, 5), (1, 0, 1), size_x=0.5, size_y=0.5))
     return camera(b, (-1, 0, 1), (1, 0, -1), 0.5, 16)
 
 
