@@ -274,15 +274,6 @@ def test_memory_bounds_what_is_used():
         assert peak < solver.memory(receivers.elements.world, receivers, settings)
 
 
-def test_the_same_result_for_any_number_of_threads(monkeypatch):
-    scene = glossy_room(camera=view(8))
-    out = []
-    for threads in ("1", "3"):
-        monkeypatch.setenv("ADJOINT_GI_THREADS", threads)
-        out.append(solve(CameraReceivers(World(scene)), max_edge=0.5).quantity("radiance"))
-    assert (out[0] == out[1]).all()
-
-
 def test_steps_partial_results_and_notices():
     receivers = on_elements(glossy_room(), 0.2)
     steps = list(solving.steps("directional_radiosity", receivers, tolerance=1e-9, max_iterations=2))

@@ -231,8 +231,10 @@ def furnace(factor: float = 1.0) -> SceneArrays:
 
 
 def lamps(factor: float = 1.0) -> SceneArrays:
-    """The Cornell box with a lamp of each kind beside its emitting face, and a background; all of them times `factor`."""
+    """The Cornell box with a lamp of each kind beside its emitting face, and a background, all times `factor`; a mirror, a pane."""
     b = scenes.cornell_builder(12, 12, light=15.0 * factor)
+    b.quad("Mirror", (0.05, 0.6, 0.02), (0.2, 0, 0), (0, 0.1, 0.3), Material("Mirror", (Lobe("glossy", Color.of(0.8), 0.0),)))
+    b.quad("Pane", (0.4, 0.1, 0.02), (0.3, 0, 0), (0, 0, 0.4), Material("Pane", (Lobe("glass", Color.of(0.9), 0.0, 1.45),)))
     color = (1.0 * factor, 2.0 * factor, 0.0)
     b.light(Light("Point", "point", color, (0.2, 0.2, 0.5), radius=0.05))
     b.light(Light("Spot", "spot", color, (0.5, 0.5, 0.9), spot_angle=0.9))

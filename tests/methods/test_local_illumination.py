@@ -161,17 +161,3 @@ def test_emission_is_seen_and_lengths_choose():
     assert (one.emitted == 0).all()
     assert (one.indirect == 0).all()
     np.testing.assert_array_equal(one.direct, whole.direct)
-
-
-def test_same_bits_for_any_number_of_threads(monkeypatch):
-    world = World(scenes.cornell(40, 40))
-    found = []
-    for threads in ("1", "2"):
-        monkeypatch.setenv("ADJOINT_GI_THREADS", threads)
-        found.append(solve(world, CameraReceivers(world)).quantity("radiance"))
-    np.testing.assert_array_equal(*found)
-    assert found[0].mean() > 0.05
-
-
-def test_no_lights_is_black():
-    assert (irradiance(floor(), [(0, 0, 0)]) == 0).all()

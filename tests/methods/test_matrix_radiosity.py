@@ -170,17 +170,6 @@ def test_reciprocity_and_closure_are_reported():
     assert s.balance.gap < 1e-12
 
 
-def test_same_result_whatever_the_seed_and_the_threads(monkeypatch):
-    world = World(scenes.cornell(8, 8))
-    results = []
-    for seed, threads in ((0, "1"), (5, "3")):
-        monkeypatch.setenv("ADJOINT_GI_THREADS", threads)
-        s = solve(CameraReceivers(world), max_edge=0.3, seed=seed)
-        results.append(s)
-    assert np.array_equal(results[0].direct, results[1].direct)
-    assert np.array_equal(results[0].indirect, results[1].indirect)
-
-
 def test_direct_light_at_receivers_and_on_elements_agree_in_the_mean():
     world = World(scenes.cornell(12, 12, boxes=False))
     receivers = CameraReceivers(world)

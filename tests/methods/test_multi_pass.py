@@ -157,16 +157,6 @@ def test_light_that_is_caught_is_refused_by_name():
         solve(ElementReceivers(Elements(World(scenes.cube(materials=mats)), 0.5)), rays=20_000)
 
 
-def test_same_result_for_any_number_of_threads(monkeypatch):
-    world = World(shiny_box(6))
-    results = []
-    for threads in ("1", "3"):
-        monkeypatch.setenv("ADJOINT_GI_THREADS", threads)
-        results.append(solve(CameraReceivers(world), max_edge=0.3, rays=20_000, samples=4))
-    assert np.array_equal(results[0].indirect, results[1].indirect)
-    assert np.array_equal(results[0].direct, results[1].direct)
-
-
 def test_dark_and_empty_scenes():
     s = solve(ElementReceivers(Elements(World(scenes.cube()), 1.0)), samples=2)
     assert not s.quantity("radiosity").any()

@@ -414,14 +414,6 @@ def test_smooth_normals_lose_what_falls_below_the_face():
     check(s.direct, [PI * (1 + math.cos(t)) / 2] * 3)
 
 
-def test_no_light_gives_black():
-    b = SceneBuilder()
-    b.box("Box", (0, 0, 0), (1, 1, 1), diffuse("Grey", 0.5), inward=True)
-    world = World(b.build())
-    s = solve(world, scattered(world, 10), samples=2)
-    assert not s.quantity("radiosity").any() and (s.weight == 1).all() and s.history == ()
-
-
 def test_surfaces_of_a_camera():
     world = World(scenes.cornell(20, 20))
     out = aovs(world, CameraReceivers(world))

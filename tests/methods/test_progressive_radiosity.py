@@ -190,17 +190,6 @@ def test_the_ambient_estimate_knows_that_light_escapes_from_open_scenes():
     assert len(partial) > 3 and max(partial) < 1.25 * final
 
 
-def test_same_result_whatever_the_seed_and_the_threads(monkeypatch):
-    world = World(scenes.cornell(8, 8))
-    results = []
-    for seed, threads in ((0, "1"), (5, "3")):
-        monkeypatch.setenv("ADJOINT_GI_THREADS", threads)
-        results.append(solve(CameraReceivers(world), max_edge=0.3, seed=seed, rays=50_000))
-    assert np.array_equal(results[0].direct, results[1].direct)
-    assert np.array_equal(results[0].indirect, results[1].indirect)
-    assert results[0].rays == results[1].rays
-
-
 def test_a_stop_keeps_the_partial_result_and_the_generator_goes_on():
     receivers = on_elements(scenes.cornell(), 0.2)
     run = states(receivers, rays=200_000)

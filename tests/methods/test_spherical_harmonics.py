@@ -253,15 +253,6 @@ def test_memory_grows_with_the_order_and_bounds_what_is_used():
     assert peak < high
 
 
-def test_the_same_result_for_any_number_of_threads(monkeypatch):
-    scene = glossy_room(camera=down(8))
-    out = []
-    for threads in ("1", "3"):
-        monkeypatch.setenv("ADJOINT_GI_THREADS", threads)
-        out.append(solve(CameraReceivers(World(scene)), max_edge=0.5).quantity("radiance"))
-    assert (out[0] == out[1]).all()
-
-
 def test_notices_and_empty_scenes():
     receivers = on_elements(glossy_room(), 0.5)
     steps = list(states(receivers, max_shots=3))

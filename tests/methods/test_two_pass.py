@@ -196,17 +196,6 @@ def test_chains_tell_how_far_and_over_what_they_went():
     assert [m.segments for m in Chains(world, 0).follow(origin, wi, RayKind.DIFFUSE, np.random.default_rng(0))] == [1]
 
 
-def test_same_first_pass_for_any_number_of_threads(monkeypatch):
-    world = World(dataclasses.replace(cavity(), camera=scenes.cornell(6, 6).camera))
-    results = []
-    for threads in ("1", "3"):
-        monkeypatch.setenv("ADJOINT_GI_THREADS", threads)
-        results.append(solve(CameraReceivers(world), max_edge=0.5, rays=32, samples=8))
-    assert np.array_equal(results[0].indirect, results[1].indirect)
-    assert np.array_equal(results[0].direct, results[1].direct)
-    assert results[0].rays == results[1].rays
-
-
 def test_albedo_one_stops_and_says_so_and_a_dark_scene_too():
     s = solve(on_elements(scenes.cube(1.0, 1.0), 0.5), rays=16, samples=1, max_iterations=20)
     assert any("stopped after 20 iterations" in str(w) for w in s.warnings)
