@@ -18,26 +18,26 @@ Katholieke Universiteit Leuven, 1999.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core.base.settings import setting
-from ..adjoint_gi.core.elements.answer import ElementAnswer, element_count, elements_for
+from ..adjoint_gi.core.base.settings import NO_LIMIT, setting
+from ..adjoint_gi.core.bsdf.lobes import DIFFUSE_LOBES
+from ..adjoint_gi.core.elements.answer import element_count
 from ..adjoint_gi.core.elements.rays import ElementRays
-from ..adjoint_gi.core.lights.emitters import Emitters
-from ..adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy, register
-from ..adjoint_gi.core.method.solution import EnergyBalance, Solution, Step
-from ..adjoint_gi.core.radiosity.schemes import LARGEST_BATCH, NO_LIMIT, Southwell, balance
-from ..adjoint_gi.core.radiosity.shared import LampLight, RadiositySettings, dark_notices, receiver_light
+from ..adjoint_gi.core.method import common_settings as common
+from ..adjoint_gi.core.method.registry import NONDETERMINISTIC, SHOOTING, MethodSpec, Solver, lines, register
+from ..adjoint_gi.core.method.solution import EnergyBalance, Step
+from ..adjoint_gi.core.radiosity.element_run import Found, RadiosityRun
+from ..adjoint_gi.core.radiosity.settings import RadiositySettings
+from ..adjoint_gi.core.radiosity.southwell import LARGEST_BATCH, Southwell, balance
 from ..adjoint_gi.core.radiosity.transports import FreshRayTransport
 from ..adjoint_gi.core.radiosity.trapped import Trap
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import World
 
-TARGET = 8000  # elements where max_edge is chosen
 RUNS = 8  # independent runs, at least
 
 
@@ -47,11 +47,12 @@ class StochasticJacobiSettings(RadiositySettings):
 
     rays: int = setting(
         1_000_000,
-        label="Rays",
-        help="Rays that carry all emitted flux, over all runs; each reflection takes rays by the flux that is left",
+        "Rays",
+        "Rays that carry all emitted flux, over all runs; each reflection takes rays by the flux that is left",
         min=1,
-        max=2_000_000_000,
+        max=common.MOST_RAYS,
         soft_max=100_000_000,
+        effort=True,
     )
 
 
@@ -63,109 +64,85 @@ class StochasticJacobi(Solver):
         id="stochastic_jacobi",
         number=14,
         label="Stochastic Jacobi Radiosity",
-        strategies=(Strategy.SHOOTING,),
-        natures=(Nature.NONDETERMINISTIC,),
+        strategies=SHOOTING,
+        natures=NONDETERMINISTIC,
         year=1994,
         authors="L. Neumann, M. Feda, M. Kopp, W. Purgathofer",
         title="A New Stochastic Radiosity Method for Highly Complex Scenes",
         equation="B(j) += rho(j) P / (N A(j)) for each of N rays, drawn from side i by dB(i) A(i) / P  (13)",
         section="7",
         idea="All elements shoot at once, along random rays in proportion to their unshot power, so that no form factor is ever needed.",
-        limits=(
-            "Diffuse surfaces only: other lobes are taken as diffuse",
-            "Indirect shadows are as sharp as the elements are small",
-            "Noise of each element falls with the root of the rays that it meets, so small and dark elements are uneven",
-        ),
-        lobes=frozenset({"diffuse", "emission"}),
-        uses_elements=True,
+        lobes=DIFFUSE_LOBES,
+        limits=lines("""
+            Diffuse surfaces only: other lobes are taken as diffuse
+            Indirect shadows are as sharp as the elements are small
+            Noise of each element falls with the root of the rays that it meets, so small and dark elements are uneven
+        """),
+        elements=8000,
     )
     Settings = StochasticJacobiSettings
 
-    def element_target(self, settings: StochasticJacobiSettings) -> int:
-        """Elements wanted where max_edge is 0."""
-        return TARGET
-
     def memory(self, world: World, receivers: Receivers, settings: StochasticJacobiSettings) -> int:
         """Elements, unshot light by path length, rays under way and receivers; it grows linearly with the elements."""
-        count = element_count(world, receivers, settings.max_edge, TARGET)
+        count = element_count(world, receivers, settings.max_edge, self.element_target(settings))
         classes = max(1, settings.max_length) if settings.max_length < NO_LIMIT else max(2, settings.min_length)
         return count * (700 + 2 * 3 * 8 * (6 * classes + 12)) + 600 * LARGEST_BATCH + 100 * receivers.count
 
     def solve(self, world: World, receivers: Receivers, settings: StochasticJacobiSettings, rng: np.random.Generator) -> Iterator[Step]:
-        """Yield after every iteration of every run."""
-        yield from _Solve(self, world, receivers, settings, rng).steps()
+        """Yield after every iteration of every run; the fraction is the flux delivered, over the runs."""
+        run = JacobiRun(self, world, receivers, settings, rng)
+
+        # 1. Where the receivers lie on the elements, and direct light at them.
+        yield from run.stage(run.answer.prepare(), 0.0, 0.0, "Receivers and direct light, {}")
+
+        # 2. Light of lamps and background on the elements.
+        yield from run.stage(run.lamps.run(), 0.0, 0.0, "Light of lamps and background, {}")
+        run.check_lit(run.lamps.irradiance)
+
+        # 3. Runs of as many iterations as it takes for all light to be absorbed, to escape or to be too long (Eq. 13).
+        done = 0.0
+        for number in range(1, run.count + 1):
+            state = run.begin()
+            trap, quantum = Trap(state), state.total * run.count / settings.rays
+            while shoot(state, quantum, rng):
+                trap.check(run.elements)
+                left = float(state.unshot_flux().sum()) / state.total
+                done = max(done, min((number - left) / run.count, 0.999))
+                yield from run.step(done, f"Run {number} of {run.count}, {left:.2%} of the light unshot")
+            run.mean.add(state)
+            run.note(run.mean.relative_error())
+
+        # 4. Their mean.
+        yield from run.finish(f"{run.count} runs")
 
 
-class _Solve:
-    """The state of one solve."""
+class JacobiRun(RadiosityRun):
+    """One solve: `count` independent runs, their `mean` so far, and the `state` of the present one."""
 
     def __init__(
         self, solver: Solver, world: World, receivers: Receivers, settings: StochasticJacobiSettings, rng: np.random.Generator
     ) -> None:
-        self.solver, self.receivers, self.settings, self.rng = solver, receivers, settings, rng
-        self.started = time.monotonic()
-        self.elements = elements_for(world, receivers, settings.max_edge, TARGET)
-        emitters = Emitters(world)
-        gather = receiver_light(world, emitters, settings)
-        self.answer = ElementAnswer(self.elements, receivers, gather, settings.min_length, settings.max_length)
-        self.lamps = LampLight(self.elements, emitters, settings.light_samples)
+        super().__init__(solver, world, receivers, settings)
+        self.count = max(RUNS, -(-settings.rays // LARGEST_BATCH))
         self.transport = FreshRayTransport(ElementRays(self.elements), rng)
         self.mean = Mean(self.transport.area)
-        self.runs = max(RUNS, -(-settings.rays // LARGEST_BATCH))
-        self.warnings = world.scene.warnings + world.shading.substitutions(solver.spec.lobes)
-        self.history: list[tuple[float, float]] = []
-        self.state = self._start()
 
-    def _start(self) -> Southwell:
+    def begin(self) -> Southwell:
         """Nothing shot yet: own emission, and what lamps and background have brought."""
         s = self.settings
-        return Southwell(self.transport, np.repeat(self.elements.emitted, 2, axis=0), self.lamps.irradiance, s.min_length, s.max_length)
+        self.state = Southwell(self.transport, self.emitted, self.lamps.irradiance, s.min_length, s.max_length)
+        self.find = self._find
+        return self.state
 
-    def steps(self) -> Iterator[Step]:
-        # 1. Where the receivers lie on the elements, and direct light at them.
-        for share in self.answer.prepare():
-            yield self._step(0.0, f"Receivers and direct light, {share:.0%}")
-        # 2. Lamps and background.
-        for share in self.lamps.run():
-            yield self._step(0.0, f"Light of lamps and background, {share:.0%}")
-        self.warnings += dark_notices(self.elements, self.lamps.irradiance)
-        # 3. Independent runs, each of as many iterations as it takes for all light to be absorbed, to escape or to be too long.
-        done = 0.0
-        for run in range(self.runs):
-            self.state = self._start()
-            trap = Trap(self.state)
-            quantum = self.state.total * self.runs / self.settings.rays
-            while shoot(self.state, quantum, self.rng):
-                trap.check(self.elements)
-                left = float(self.state.unshot_flux().sum()) / self.state.total
-                done = max(done, min((run + 1 - left) / self.runs, 0.999))
-                yield self._step(done, f"Run {run + 1} of {self.runs}, {left:.2%} of the light unshot")
-            self.mean.add(self.state)
-            self.history.append((time.monotonic() - self.started, self.mean.relative_error()))
-        yield self._step(1.0, f"{self.runs} runs", partial=False)
-
-    def _step(self, fraction: float, text: str, partial: bool = True) -> Step:
-        return Step(fraction, text, lambda: self._solution(partial))
-
-    def _solution(self, partial: bool) -> Solution:
+    def _find(self, partial: bool) -> Found:
+        """The mean of the runs that are done, or the first run as it is."""
         mean = self.mean
         if mean.runs:
             direct, indirect, flux = mean.direct / mean.runs, mean.indirect / mean.runs, mean.balance()
         else:
             direct, indirect, flux = self.state.direct, self.state.indirect, balance(self.state)
         parts = self.answer.parts(direct, indirect)
-        return Solution(
-            self.solver.spec.id,
-            self.receivers.measure,
-            **parts.arrays(),
-            rays=self.transport.count + self.lamps.rays + parts.rays,
-            seconds=time.monotonic() - self.started,
-            balance=flux,
-            history=tuple(self.history),
-            warnings=self.warnings,
-            settings=self.settings.as_dict(),
-            partial=partial,
-        )
+        return Found(parts, self.transport.count + self.lamps.rays + parts.rays, flux)
 
 
 def shoot(state: Southwell, quantum: float, rng: np.random.Generator) -> int:

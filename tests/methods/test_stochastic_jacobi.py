@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import SceneError
 from adjgi.adjoint_gi.core.elements.rays import ElementRays
-from adjgi.adjoint_gi.core.radiosity.schemes import Southwell
+from adjgi.adjoint_gi.core.radiosity.southwell import Southwell
 from adjgi.adjoint_gi.core.radiosity.transports import FreshRayTransport
 from adjgi.solvers.stochastic_jacobi import Mean, shoot
 from adjgi.tests import scenes

@@ -10,7 +10,7 @@ from ..method import common_settings as common
 
 @dataclass(frozen=True)
 class RadiositySettings(base.Settings):
-    """Settings of every radiosity method. The seed has no effect: these methods are deterministic."""
+    """Settings of every radiosity method. The seed has no effect on those that are deterministic."""
 
     max_length: int = common.max_length("Longest light path that counts: 1 is direct light only, 2 adds one bounce; 1024 is no limit")
     max_edge: float = common.max_edge()
