@@ -86,11 +86,17 @@ def test_every_setting_of_every_method_can_be_given_as_text_and_is_bounded(solve
 
 def test_a_budget_may_scale_one_number_of_samples_of_each_random_method():
     names = {m.spec.id: [f.name for f in dataclasses.fields(m.Settings) if f.metadata["effort"]] for m in registry.methods()}
-    assert {id: found for id, found in names.items() if found} == {
+    known = {
         "two_pass": ["samples"],
         "distribution": ["samples"],
+        "irradiance_cache": [],
         "path_tracing": ["samples"],
         "particle_tracing": ["particles"],
         "multi_pass": ["samples"],
         "potential": ["samples"],
     }
+    assert {id: names[id] for id in known} == known
+    assert all(len(found) <= 1 for found in names.values())
+    for solver in registry.methods():
+        assert all(field_type(f) is int for f in dataclasses.fields(solver.Settings) if f.metadata["effort"])
+        assert not names[solver.spec.id] or registry.Nature.NONDETERMINISTIC in solver.spec.natures
