@@ -83,7 +83,7 @@ class LocalIllumination(Solver):
         emitters = Emitters(world)
         run = Run(self.spec, world, receivers, settings, emitters)
         points = LightPoints(emitters, settings.light_points)
-        table = BsdfTable(world.scene)
+        table = BsdfTable(world.scene, self.spec.lobes)
 
         def estimate(surface: Surface, wo: np.ndarray | None, _: np.random.Generator) -> Gathered:
             return shade(world, points, table, surface, wo, settings)

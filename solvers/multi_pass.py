@@ -24,7 +24,7 @@ import numpy as np
 from ..adjoint_gi.core.base.errors import Notice
 from ..adjoint_gi.core.base.parallel import thread_count
 from ..adjoint_gi.core.base.settings import NO_LIMIT, setting
-from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES
+from ..adjoint_gi.core.bsdf.lobes import FIRST_PASS_LOBES
 from ..adjoint_gi.core.elements.answer import ElementAnswer, Parts, element_count, elements_for
 from ..adjoint_gi.core.elements.elements import Elements
 from ..adjoint_gi.core.elements.rays import ElementRays
@@ -95,7 +95,7 @@ class MultiPass(Solver):
         equation="W = g + T* W first, then L = Le + T L  (2, then 1)",
         section="5.2.1 and 7",
         idea="Progressive radiosity gives a picture at once; path tracing then replaces what it cannot resolve, and reads it further off.",
-        lobes=ALL_LOBES,
+        lobes=FIRST_PASS_LOBES,
         limits=lines("""
             Radiosity read at later surfaces is as exact as the elements are small: a small bias, less with more traced bounces
             Caustics of lamps without size are as sharp as the elements are small

@@ -25,8 +25,7 @@ import numpy as np
 from ..adjoint_gi.core.base.errors import Notice
 from ..adjoint_gi.core.base.parallel import thread_count
 from ..adjoint_gi.core.base.settings import NO_LIMIT, setting
-from ..adjoint_gi.core.bsdf import table as bsdf
-from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES
+from ..adjoint_gi.core.bsdf.lobes import FIRST_PASS_LOBES, SHINY
 from ..adjoint_gi.core.elements.answer import element_count, elements_for
 from ..adjoint_gi.core.elements.elements import Elements
 from ..adjoint_gi.core.elements.rays import ElementRays
@@ -88,7 +87,7 @@ class TwoPass(Solver):
         equation="B(i) = E(i) + rho(i) sum_j Fext(ij) B(j)  (11, extended)",
         section="5.2",
         idea="Radiosity with form factors that count mirrors, then rays from the eye over mirrors to the known diffuse surfaces.",
-        lobes=ALL_LOBES,
+        lobes=FIRST_PASS_LOBES,
         limits=lines("""
             Indirect shadows and caustics are as sharp as the elements are small; caustics of lamps have the noise of their particles
             Extended form factors are shares of rays: each element has an error of its own
@@ -102,7 +101,7 @@ class TwoPass(Solver):
     def memory(self, world: World, receivers: Receivers, settings: TwoPassSettings) -> int:
         """Chains of all element sides, irradiance by length where lengths are bounded, receivers and batches under way."""
         count = element_count(world, receivers, settings.max_edge, self.spec.elements)
-        mirrors = any(x.kind in bsdf.KINDS for m in world.scene.materials for x in m.lobes)
+        mirrors = any(x.kind in SHINY for m in world.scene.materials for x in m.lobes)
         kept = 2 if mirrors else 1  # chains meet about one diffuse surface; mixed surfaces more
         fields = (settings.max_length if settings.max_length < NO_LIMIT else settings.min_length) + 4
         chains = 2 * count * settings.rays * 36 * kept

@@ -5,8 +5,15 @@ import pytest
 from adjgi.adjoint_gi.core.bsdf import lobes as kinds
 from adjgi.adjoint_gi.core.bsdf import microfacet
 from adjgi.adjoint_gi.core.bsdf import table as bsdf
+from adjgi.adjoint_gi.core.bsdf.diffuse import cosine_directions
+from adjgi.adjoint_gi.core.directional.bins import Bins
+from adjgi.adjoint_gi.core.directional.scattering import Scattering
+from adjgi.adjoint_gi.core.elements.elements import Elements
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder
+from adjgi.adjoint_gi.core.scene.shading import Shading
+from adjgi.adjoint_gi.core.scene.substitutes import as_diffuse
+from adjgi.adjoint_gi.core.scene.world import World
 
 C = Color.of
 ROUGH = {
@@ -21,6 +28,9 @@ ROUGH = {
     "glossy, many bounces": [Lobe("glossy", C(0.9), 0.8, multiscatter=True)],
     "metallic, many bounces": [Lobe("metallic", C(0.9, 0.6, 0.2), 0.7, multiscatter=True)],
     "glass, many bounces": [Lobe("glass", C(1), 0.8, 1.5, multiscatter=True)],
+    "rough diffuse": [Lobe("rough diffuse", C(0.9), 0.8)],
+    "rough diffuse, many bounces": [Lobe("rough diffuse", C(0.9, 0.6, 0.3), 1.0, multiscatter=True)],
+    "coated rough diffuse": [Lobe("rough diffuse", C(0.8), 0.5, multiscatter=True), Lobe("specular", C(1), 0.4, 1.45)],
     "mix": [Lobe("diffuse", C(0.3)), Lobe("glossy", C(0.3), 0.6), Lobe("glass", C(0.3), 0.5, 1.3)],
 }
 CASES = [(name, mu, side) for name in ROUGH for mu in (0.9, 0.4) for side in (1.0, -1.0)]
@@ -227,3 +237,96 @@ def test_transparent_goes_straight_on():
 def test_fresnel_of_window_glass(degrees, expected):
     value = microfacet.fresnel(np.float32([np.cos(np.radians(degrees))]), np.float32([1.52]))
     assert value[0] == pytest.approx(expected, rel=1e-4)
+
+
+def rough(color, roughness, many=True, tint=None):
+    return [Lobe("rough diffuse", C(color), roughness, multiscatter=many, tint=tint)]
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("mu", [0.05, 0.4, 1.0])
+def test_white_rough_diffuse_surfaces_lose_nothing(mu, roughness):
+    n = 200_000
+    once, white = (
+        bsdf.sample(lobes_at(rough(1.0, roughness, many), view(mu, n)), np.random.default_rng(2)).weight[:, 0] for many in (False, True)
+    )
+    assert abs(white.mean(dtype=float) - 1) < 4 * white.std() / np.sqrt(n) + 1e-4
+    assert once.mean() < 1 - 0.1 * roughness * mu
+
+
+def test_a_smooth_rough_diffuse_lobe_is_an_ideal_diffuser():
+    rng = np.random.default_rng(4)
+    wo, wi = view(0.6, 1000), rng.normal(size=(1000, 3))
+    wi = (wi / np.linalg.norm(wi, axis=1, keepdims=True)).astype(np.float32)
+    got, want = (bsdf.evaluate(lobes_at(lobes, wo), wi) for lobes in (rough(0.7, 0.0), [Lobe("diffuse", C(0.7))]))
+    assert np.allclose(got[0], want[0], atol=1e-6) and np.allclose(got[1], want[1], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("roughness", "angle", "radiance"),
+    [
+        (0.5, 0.0, (0.28905848, 0.17806055, 0.08482756)),
+        (0.5, 1.2, (0.09686943, 0.06225868, 0.03046325)),
+        (1.0, 0.5, (0.25205827, 0.14605054, 0.06695748)),
+    ],
+)
+def test_rough_diffuse_is_what_cycles_computes(roughness, angle, radiance):
+    """Measured with Cycles 5.0 and 5.2: a plane of colour (0.9, 0.6, 0.3) seen from above, irradiance cos(angle) by a sun."""
+    wi = np.float32([[np.sin(angle), 0, np.cos(angle)]])
+    material = [Lobe("rough diffuse", C(0.9, 0.6, 0.3), roughness, multiscatter=True)]
+    assert np.allclose(bsdf.evaluate(lobes_at(material, view(1.0, 1)), wi)[0][0], radiance, rtol=3e-6)
+
+
+def test_a_share_of_a_rough_diffuse_lobe_bounces_light_by_its_own_colour():
+    """Half of a lobe in a mix is half as bright, not a lobe of half the albedo, which loses more between its facets."""
+    wo, wi = view(1.0, 1), view(0.95, 1)
+    whole, half, darker = (
+        bsdf.evaluate(lobes_at(lobes, wo), wi)[0][0, 0] for lobes in (rough(0.8, 1.0), rough(0.4, 1.0, tint=C(0.8)), rough(0.4, 1.0))
+    )
+    assert half == pytest.approx(0.5 * whole, rel=1e-6)
+    assert darker < 0.95 * half
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_methods_that_know_only_diffuse_take_the_mean_albedo_of_a_rough_one(many):
+    """From a quadrature over both directions; the name is in the notice, and a table that does not know the kind is diffuse."""
+    lobes = [Lobe("rough diffuse", C(0.9, 0.6, 0.3), 0.7, multiscatter=many)]
+    n = 400_000
+    mu = np.sqrt((np.arange(n) + 0.5) / n)
+    wo = np.stack([np.sqrt(1 - mu * mu), 0 * mu, mu], 1)
+    want = bsdf.sample(lobes_at(lobes, wo), np.random.default_rng(4)).weight.mean(axis=0, dtype=float)
+    b = SceneBuilder()
+    b.quad("Quad", (0, 0, 0), (1, 0, 0), (0, 1, 0), Material("M", tuple(lobes)))
+    scene = b.build()
+    assert np.allclose(as_diffuse(scene.materials[0]).constant, want, rtol=2e-3)
+    table = bsdf.BsdfTable(scene, frozenset({"diffuse"}))
+    assert table.only_diffuse and np.allclose(table.diffuse.table[0], want, rtol=2e-3)
+    (notice,) = Shading(scene).substitutions(frozenset({"diffuse"}))
+    assert notice.reason == "rough diffuse taken as diffuse by this method"
+    assert not Shading(scene).substitutions(kinds.ALL_LOBES)
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_elements_with_directions_scatter_a_rough_diffuse_lobe_as_it_is(many):
+    """Bins: what leaves a face lit from one bin is the BSDF's mean over both bins."""
+    lobes = [Lobe("rough diffuse", C(0.9, 0.6, 0.3), 1.0, multiscatter=many)]
+    b = SceneBuilder()
+    b.quad("Quad", (0, 0, 0), (1, 0, 0), (0, 1, 0), Material("M", tuple(lobes)))
+    world, bins = World(b.build()), Bins(4, 8)
+    elements = Elements(world, 2.0)
+    scattering = Scattering.ready(elements, bsdf.BsdfTable(world.scene), bins, 1 << 17)
+    # Sides are in the frame of their element: what counts is the angle between the bins.
+    n = 1 << 17
+    rng = np.random.default_rng(6)
+    wo, wi = (cosine_directions(rng.random((2, n), np.float32)) for _ in range(2))
+    f = bsdf.evaluate(lobes_at(lobes, wo), wi)[0] / wi[:, 2:]
+    arriving = np.zeros((2, bins.size, 3))
+    lit = bins.of(wi[:1])[0]
+    arriving[0, lit] = 1
+    leaves = scattering.apply(arriving)[0]
+    got = leaves / (np.pi * (bins.of(wi) == lit).mean())
+    at, of_lit = bins.of(wo), bins.of(wi) == lit
+    for out in range(bins.size):
+        here = (at == out) & of_lit
+        error = f[here].std(axis=0) / np.sqrt(here.sum())
+        assert (np.abs(got[out] - f[here].mean(axis=0)) < 5 * error + 0.02 * got[out]).all()

@@ -31,6 +31,8 @@ WALLS = {
     "metal": (Lobe("metallic", C(0.8, 0.5, 0.3), 0.5),),
     "rough metal, many bounces": (Lobe("metallic", C(0.7, 0.5, 0.3), 0.7, multiscatter=True),),
     "coated": (Lobe("diffuse", C(0.6)), Lobe("specular", C(1.0), 0.3, 1.5)),
+    "rough diffuse": (Lobe("rough diffuse", C(0.8, 0.5, 0.3), 0.8),),
+    "rough diffuse, many bounces": (Lobe("rough diffuse", C(0.8, 0.5, 0.3), 1.0, multiscatter=True),),
     "mixed": (Lobe("diffuse", C(0.3)), Lobe("glossy", C(0.5), 0.3)),
 }
 

@@ -3,7 +3,8 @@
 With alpha a, metallic m, transmission t, base colour C (each may be textured):
     transparent 1 - a;  emission a * colour * strength;  metallic a m C;
     glass a (1 - m) t sqrt(C), dielectric a (1 - m) t (1 - sqrt(C));
-    diffuse a (1 - m) (1 - t) C;  specular a (1 - m) (1 - t) tint, a dielectric coat over the diffuse.
+    diffuse a (1 - m) (1 - t) C, rough where Diffuse Roughness is above 0;
+    specular a (1 - m) (1 - t) tint, a dielectric coat over the diffuse.
 Like in Cycles, what passes is coloured by sqrt(C), so that two surfaces give C, and what is reflected is white: the glass lobe colours
 both, and the dielectric lobe adds what its reflections lack.
 Sheen, coat, thin film, anisotropy and subsurface scattering are not computed and are named when they are used.
@@ -14,6 +15,7 @@ from __future__ import annotations
 import math
 
 from ...core.scene.arrays import Color, Lobe
+from ..host.versions import rough_diffuse_keeps_energy
 from .colors import Colors
 from .nodes import Place, inputs, is_linked
 
@@ -23,7 +25,6 @@ IGNORED = {
     "Coat Weight": "a coat, which is left out",
     "Anisotropic": "anisotropy, which is left out",
     "Thin Film Thickness": "a thin film, which is left out",
-    "Diffuse Roughness": "diffuse roughness, which is left out",
     "Thin Wall": "thin walls, which are computed as solid",
 }
 
@@ -58,7 +59,7 @@ def principled_lobes(colors: Colors, place: Place) -> list[Lobe]:
         lobes.append(Lobe("emission", colors.color(sockets["Emission Color"]) * strength * alpha))
 
     # Step 2: what is reflected.
-    lobes.append(Lobe("diffuse", base * dielectric))
+    lobes.append(diffuse_lobe(base * dielectric, base, number("Diffuse Roughness", 0.0)))
     lobes.append(Lobe("metallic", base * metallic * alpha, roughness, multiscatter=many))
     glass = alpha * metallic.complement() * transmission
     if not glass.is_black:
@@ -77,6 +78,13 @@ def principled_lobes(colors: Colors, place: Place) -> list[Lobe]:
     if "Normal" in sockets and is_linked(sockets["Normal"]):
         colors.skip(place, "has a bump or normal map", "the mesh's own normals are used", "")
     return [lobe for lobe in lobes if not lobe.color.is_black]
+
+
+def diffuse_lobe(color: Color, tint: Color, roughness: float) -> Lobe:
+    """An ideal diffuser, or with a roughness that of Oren and Nayar; `color` is `tint` times the weight of the lobe."""
+    if not roughness > 0.0:
+        return Lobe("diffuse", color)
+    return Lobe("rough diffuse", color, min(roughness, 1.0), multiscatter=rough_diffuse_keeps_energy(), tint=tint)
 
 
 def _root(colors: Colors, place: Place, base: Color) -> Color:

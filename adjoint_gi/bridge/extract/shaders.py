@@ -14,7 +14,7 @@ from .color_math import LARGEST_POLYNOMIAL, combined
 from .colors import Colors
 from .images import Images
 from .nodes import NodesTooDeep, Place, follow, inputs, is_linked
-from .principled import principled_lobes
+from .principled import diffuse_lobe, principled_lobes
 
 DEPTH = 64  # shaders mixed into each other
 GREY = 0.8  # Cycles' default surface
@@ -85,12 +85,12 @@ class Shaders:
         return principled_lobes(self.colors, place)
 
     def _diffuse(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
-        """Diffuse BSDF; its roughness (Oren-Nayar) is not computed."""
+        """Diffuse BSDF, Lambert's or with a roughness Oren and Nayar's."""
         sockets = inputs(place)
-        if "Roughness" in sockets and (is_linked(sockets["Roughness"]) or sockets["Roughness"].socket.default_value > 0.0):
-            self.colors.skip(place, "has a roughness", "it is computed as an ideal diffuser", "Set its roughness to 0")
         self._normal(place, sockets)
-        return [Lobe("diffuse", self.colors.color(sockets["Color"]))]
+        roughness = self.colors.number(sockets["Roughness"], "roughness") if "Roughness" in sockets else 0.0
+        color = self.colors.color(sockets["Color"])
+        return [diffuse_lobe(color, color, roughness)]
 
     def _as_diffuse(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
         """Translucent, subsurface, sheen, toon: their colour reflected by an ideal diffuser."""
@@ -157,13 +157,13 @@ _SHADERS: dict[str, Callable[[Shaders, bpy.types.Node, Place], list[Lobe]]] = {
 
 
 def merged(lobes: list[Lobe]) -> list[Lobe]:
-    """One lobe for all of the same kind, roughness, index and distribution: constants add up, and clamping sees their sum."""
-    sums: dict[tuple[str, float, float, bool], Color] = {}
+    """One lobe for all of the same kind, roughness, index, distribution and tint: constants add up, and clamping sees their sum."""
+    sums: dict[tuple, Color] = {}
     for lobe in lobes:
         plain = lobe.kind in ("diffuse", "emission", "transparent")
-        key = (lobe.kind, 1.0 if plain else lobe.roughness, 1.45 if plain else lobe.ior, lobe.multiscatter)
+        key = (lobe.kind, 1.0 if plain else lobe.roughness, 1.45 if plain else lobe.ior, lobe.multiscatter, lobe.tint)
         sums[key] = sums.get(key, Color()) + lobe.color
-    return [Lobe(kind, combined(color), roughness, ior, many) for (kind, roughness, ior, many), color in sums.items()]
+    return [Lobe(kind, combined(color), *shape) for (kind, *shape), color in sums.items()]
 
 
 def surface(tree: bpy.types.NodeTree, output: str) -> Place | None:

@@ -46,6 +46,11 @@ def group_value_is_place(socket: bpy.types.NodeSocket) -> bool:
     return bpy.app.version >= (5, 0, 0) and not socket.hide_value
 
 
+def rough_diffuse_keeps_energy() -> bool:
+    """Whether Cycles gives back what Oren-Nayar's facets lose at the first bounce: from 4.3 on."""
+    return bpy.app.version >= (4, 3, 0)
+
+
 def light_exposure(light: Any) -> float:
     """Stops of a light's exposure (Blender 4.5 and later), else 0."""
     return float(getattr(light, "exposure", 0.0))

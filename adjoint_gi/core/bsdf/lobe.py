@@ -18,7 +18,8 @@ class Seen:
     """Lobes of one kind at m points, seen from `wo` (m, 3) float32, unit, in the frame of the shading normal (z), wo_z > 0.
 
     color (m, 3); alpha (m,), roughness squared; ior (m,); entering (m,) bool: seen from outside; gain: rows of the scene's `Gains`,
-    0 where light that bounces more than once between microfacets is lost.
+    0 where light that bounces more than once between microfacets is lost; many (m,) bool: it is kept; tint (m, 3): the colour of the
+    surface itself, of which `color` may be a share.
     """
 
     wo: np.ndarray
@@ -27,11 +28,13 @@ class Seen:
     ior: np.ndarray
     gain: Mixture
     entering: np.ndarray
+    many: np.ndarray
+    tint: np.ndarray
 
     def take(self, which: np.ndarray) -> Seen:
         """The same at a subset of the points."""
         parts = (self.wo, self.color, self.alpha, self.ior)
-        return Seen(*(a[which] for a in parts), self.gain.take(which), self.entering[which])
+        return Seen(*(a[which] for a in parts), self.gain.take(which), self.entering[which], self.many[which], self.tint[which])
 
     @property
     def eta(self) -> np.ndarray:
@@ -60,14 +63,17 @@ class LobeKind(ABC):
     is_coat         whether it is such a coat
     highlight       whether the empirical models of local illumination draw a highlight for it
     regains         whether `Gains` give back light that bounces more than once between facets (by the index, too, where it `passes`)
+    nearly_diffuse  whether methods that cannot do it take it as diffuse, and not as something that shines
+    parts           how many `factors` there are
     two_sided       whether it looks the same from both sides
     partial         whether `albedo` is far from 1 (of a coat, the scene's table of coats says it)
     """
 
     name = ""
     delta_below = np.float32(0)
-    reflects = passes = refracts = under_coat = is_coat = highlight = partial = regains = False
+    reflects = passes = refracts = under_coat = is_coat = highlight = partial = regains = nearly_diffuse = False
     two_sided = True
+    parts = 1
 
     def evaluate(self, seen: Seen, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """f(wo, wi) |cos| (m, 3) and the density pdf_w (m,) with which `sample` finds `wi` (m, 3); no lobe here is perfectly smooth."""
@@ -101,10 +107,10 @@ class LobeKind(ABC):
         """The white lobe, the name of its kind and its alpha, on whose pairs of directions `factors` act."""
         return self.name, alpha
 
-    def factors(self, given: np.ndarray, other: np.ndarray) -> list[np.ndarray]:
+    def factors(self, alpha: float, given: np.ndarray, other: np.ndarray) -> list[np.ndarray]:
         """Factors (n,) float64 on the pairs of `split`: their sum, each times its colour of `tints`, is this lobe."""
         return [np.ones(len(given))]
 
-    def tints(self, color: np.ndarray) -> list[np.ndarray]:
-        """Colours (m, 3), one for each of `factors`."""
+    def tints(self, alpha: float, many: bool, color: np.ndarray, tint: np.ndarray) -> list[np.ndarray]:
+        """Colours (m, 3), one for each of `factors`; `tint` (m, 3) as in `Seen`."""
         return [color]

@@ -48,6 +48,7 @@ class Metallic(Glossy):
     """Facets of a conductor, by Schlick: the colour at normal incidence, white at grazing angles."""
 
     name = "metallic"
+    parts = 2
 
     def reflected(self, seen: Seen, cosine: np.ndarray) -> np.ndarray:
         """By Schlick's formula."""
@@ -61,14 +62,14 @@ class Metallic(Glossy):
         """Facets of one colour."""
         return Glossy.name, alpha
 
-    def factors(self, given: np.ndarray, other: np.ndarray) -> list[np.ndarray]:
+    def factors(self, alpha: float, given: np.ndarray, other: np.ndarray) -> list[np.ndarray]:
         """The part that takes the metal's colour, and Schlick's white rest: (1 - c)^5, c the cosine to the facet between the two."""
         h = given + other
         h /= np.maximum(np.linalg.norm(h, axis=1), 1e-20)[:, None]
         white = np.clip(1 - np.einsum("ij,ij->i", given, h).astype(np.float64), 0, 1) ** 5
         return [1 - white, white]
 
-    def tints(self, color: np.ndarray) -> list[np.ndarray]:
+    def tints(self, alpha: float, many: bool, color: np.ndarray, tint: np.ndarray) -> list[np.ndarray]:
         """The metal's colour, and white."""
         return [color, np.ones_like(color)]
 

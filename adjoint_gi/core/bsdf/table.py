@@ -17,12 +17,13 @@ import numpy as np
 from ..sampling.maps import frame_rows
 from ..scene.arrays import Color, Lobe, RayKind, SceneArrays, constant_of
 from ..scene.shading import ColorField, ScalarField
+from ..scene.substitutes import as_diffuse
 from . import microfacet as mf
 from .coat import LARGEST, Coats
 from .curves import Grid, Mixture
 from .diffuse import cosine_directions, lambert
 from .lobe import LobeKind, Seen
-from .lobes import DELTA_BELOW, KINDS, LOBES, PARTIAL, REFRACTING, present
+from .lobes import ALL_LOBES, DELTA_BELOW, KINDS, LOBES, NEARLY_DIFFUSE, PARTIAL, REFRACTING, present
 from .multiscatter import Gains
 
 __all__ = ["KINDS", "LOBES", "BsdfTable", "Lobes", "Scattered", "Slot", "evaluate", "sample", "weights", "white_lobe"]
@@ -31,17 +32,22 @@ __all__ = ["KINDS", "LOBES", "BsdfTable", "Lobes", "Scattered", "Slot", "evaluat
 @dataclass(frozen=True, eq=False)
 class Slot:
     """One non-diffuse lobe at n points: kind (n,) int8 (0 where there is none), color (n, 3), alpha (n,), ior (n,), and gain, rows of
-    `BsdfTable.gains` for light that bounces more than once between microfacets, 0 where it is lost."""
+    `BsdfTable.gains` for light that bounces more than once between microfacets, 0 where it is lost; many (n,) bool: it is kept;
+    tint (n, 3): the surface's own colour, where `color` is a share of it."""
 
     kind: np.ndarray
     color: np.ndarray
     alpha: np.ndarray
     ior: np.ndarray
     gain: Mixture
+    many: np.ndarray
+    tint: np.ndarray | None = None
 
     def take(self, which: np.ndarray) -> Slot:
         """The same at a subset of the points."""
-        return Slot(self.kind[which], self.color[which], self.alpha[which], self.ior[which], self.gain.take(which))
+        tint = None if self.tint is None else self.tint[which]
+        parts = (self.kind, self.color, self.alpha, self.ior)
+        return Slot(*(a[which] for a in parts), self.gain.take(which), self.many[which], tint)
 
     @property
     def delta(self) -> np.ndarray:
@@ -93,7 +99,9 @@ class Lobes:
     def seen(self, i: int, rows: np.ndarray) -> Seen:
         """Slot `i` in some rows, all of one kind."""
         s = self.slots[i]
-        return Seen(self.local[rows], s.color[rows], s.alpha[rows], s.ior[rows], s.gain.take(rows), self.entering[rows])
+        color = s.color[rows]
+        tint = color if s.tint is None else s.tint[rows]
+        return Seen(self.local[rows], color, s.alpha[rows], s.ior[rows], s.gain.take(rows), self.entering[rows], s.many[rows], tint)
 
     def albedos(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Where lobes reflect only a part of their colour towards wo: slot, rows (m,), and the part (m,)."""
@@ -143,13 +151,15 @@ class Lobes:
 class BsdfTable:
     """The lobes of every material of a scene; `at` evaluates them at points."""
 
-    def __init__(self, scene: SceneArrays) -> None:
+    def __init__(self, scene: SceneArrays, known: frozenset[str] = ALL_LOBES) -> None:
+        """Lobes that are nearly diffuse and not `known` are diffuse."""
+        taken = tuple({"diffuse"} | NEARLY_DIFFUSE - known)
         self._material = np.asarray(scene.material, np.int32)
         mats = scene.materials
-        others = [[x for x in m.lobes if x.kind in KINDS and not x.color.is_black] for m in mats]
+        others = [[x for x in m.lobes if x.kind in KINDS and x.kind not in taken and not x.color.is_black] for m in mats]
         self.count = max((len(o) for o in others), default=0)
         self.varies = np.array([any(x.varies for x in o) for o in others] or [False])
-        self._diffuse = ColorField([m.total("diffuse") for m in mats], scene)
+        self.diffuse = ColorField([as_diffuse(m, taken) for m in mats], scene)
         self.gains, self.coats = Gains(), Coats()
         self.slots = tuple(SlotFields([o[i] if i < len(o) else None for o in others], scene, self) for i in range(self.count))
         constant = [[] if varies else [coat_of(x) for x in o if is_coat(x)] for o, varies in zip(others, self.varies, strict=bool(mats))]
@@ -190,7 +200,7 @@ class BsdfTable:
         x, y = frame_rows(ns)
         local = np.stack([mf.dot(wo, x), mf.dot(wo, y), np.maximum(mf.dot(wo, ns), np.float32(1e-4))], axis=1)
         local /= np.sqrt(mf.dot(local, local))[:, None]
-        diffuse = np.clip(self._diffuse.at(triangle, u, v), 0, 1)
+        diffuse = np.clip(self.diffuse.at(triangle, u, v), 0, 1)
         return Lobes(wo, local, x, y, ns, diffuse, slots, side > 0, self.coating(triangle, u, v), self)
 
 
@@ -206,15 +216,18 @@ class SlotFields:
         self.roughness = ScalarField([x.roughness if x else 1.0 for x in lobes], scene, 0.0, 1.0)
         self.ior = ScalarField([x.ior if x else 1.0 for x in lobes], scene, 1e-3, np.inf)
         # Light that bounces again between microfacets: a row where roughness and index are one, else a grid.
-        self.many = np.array([x is not None and x.multiscatter and LOBES[KINDS[x.kind]].regains for x in lobes], bool)
+        self.many = np.array([x is not None and x.multiscatter for x in lobes], bool)
+        tinted = any(x is not None and x.tint is not None for x in lobes)
+        self.tint = ColorField([(x.tint or x.color) if x else Color() for x in lobes], scene) if tinted else None
         self._table = table
         self._gain = np.zeros(len(lobes), np.int32)
         self._gains: _Grids = {}
         self.coats: _Grids = {}
         for m, lobe in enumerate(lobes):
-            if self.many[m] and not lobe.varies:
+            regains = self.many[m] and LOBES[self.kind[m]].regains
+            if regains and not lobe.varies:
                 self._gain[m] = self.gain_row(m, constant_of(lobe.roughness), constant_of(lobe.ior))
-            elif self.many[m]:
+            elif regains:
                 passes = LOBES[self.kind[m]].passes
                 self._gains[m] = Grid(table.gains, self.roughness.range(m), self.ior.range(m) if passes else None), 1.0
             if lobe is not None and is_coat(lobe) and table.varies[m]:
@@ -222,7 +235,8 @@ class SlotFields:
 
     def gain_row(self, material: int, roughness: float, ior: float) -> int:
         """Row of the scene's gains for a lobe of one roughness and index."""
-        return self._table.gains.row(roughness, ior if LOBES[self.kind[material]].passes else None) if self.many[material] else 0
+        kind = LOBES[self.kind[material]]
+        return self._table.gains.row(roughness, ior if kind.passes else None) if self.many[material] and kind.regains else 0
 
     def at(self, material: np.ndarray, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> Slot:
         """The slot at barycentrics of triangles of `material` (n,)."""
@@ -231,7 +245,8 @@ class SlotFields:
         gain = Mixture((self._gain[material],))
         if self._gains:
             gain = self.mixture(self._gains, material, roughness, ior, gain.rows[0])
-        return Slot(self.kind[material], self.color.at(triangle, u, v), roughness**2, ior, gain)
+        tint = None if self.tint is None else np.clip(self.tint.at(triangle, u, v), 0, 1)
+        return Slot(self.kind[material], self.color.at(triangle, u, v), roughness**2, ior, gain, self.many[material], tint)
 
     def mixture(
         self, grids: _Grids, material: np.ndarray, roughness: np.ndarray, ior: np.ndarray, rest: np.ndarray | None = None
@@ -266,7 +281,7 @@ def white_lobe(number: int, alpha: float, ior: float, wo: np.ndarray, front: boo
     n = len(wo)
     axes = (np.broadcast_to(np.eye(3, dtype=np.float32)[i], (n, 3)) for i in range(3))
     shape = (np.full(n, x, np.float32) for x in (alpha, ior))
-    slot = Slot(np.full(n, number, np.int8), np.ones((n, 3), np.float32), *shape, Mixture.of(0, n))
+    slot = Slot(np.full(n, number, np.int8), np.ones((n, 3), np.float32), *shape, Mixture.of(0, n), np.zeros(n, bool))
     return Lobes(wo, wo, *axes, np.zeros((n, 3), np.float32), (slot,), np.full(n, front), Mixture.of(0, n), table)
 
 

@@ -92,16 +92,18 @@ class Scattering:
     def prepare(self) -> Iterator[float]:
         """Find the colours of the elements and the matrices of every material; yields the share done."""
         elements, table, basis = self.elements, self.table, self.basis
-        colors, groups = _mean_surfaces(elements, table)
+        colors, tints, groups = _mean_surfaces(elements, table)
         cache: dict[tuple, list[tuple[np.ndarray, np.ndarray | None]]] = {}
         flat = basis.constant()
         for done, group in enumerate(groups, 1):
             which = group.elements
             parts: list[Part] = []
-            for slot, (kind, alpha, ior, gain) in enumerate(group.kinds):
+            for slot, (kind, alpha, ior, gain, many) in enumerate(group.kinds):
                 color = colors[1 + slot][which]
-                tints = LOBES[kind].tints(color)
-                if not kind or not any(tint.any() for tint in tints):
+                if not kind:
+                    continue
+                shares = LOBES[kind].tints(alpha, many, color, tints[slot][which])
+                if not any(x.any() for x in shares):
                     continue
                 self.clear |= LOBES[kind].refracts and ior != 1
                 key = (kind, alpha, ior, gain)
@@ -110,8 +112,8 @@ class Scattering:
                     yield (done - 0.5) / len(groups)
                 if gain:
                     kept = table.gains.kept(Mixture.of(gain, len(color)), LOBES[kind].mean(color))
-                    tints += [tint * kept for tint in tints]
-                parts += [Part(tint, *kernel) for tint, kernel in zip(tints, cache[key], strict=True)]
+                    shares += [share * kept for share in shares]
+                parts += [Part(share, *kernel) for share, kernel in zip(shares, cache[key], strict=True)]
             left = right = flat
             if group.coating.any():
 
@@ -185,7 +187,7 @@ def _kernels(basis: Basis, kind: int, alpha: float, ior: float, gain: int, table
     name, width = lobe.split(alpha)
     front = pairs(KINDS[name], width, ior, True, table, count)
     back = front if lobe.two_sided else pairs(KINDS[name], width, ior, False, table, count)
-    shares = list(zip(lobe.factors(front.given, front.other), lobe.factors(back.given, back.other), strict=True))
+    shares = list(zip(*(lobe.factors(alpha, p.given, p.other) for p in (front, back)), strict=True))
     if gain:
         more = (front.excess(table.gains, gain, False), back.excess(table.gains, gain, True))
         shares += [(a * more[0], b * more[1]) for a, b in shares]
@@ -194,15 +196,16 @@ def _kernels(basis: Basis, kind: int, alpha: float, ior: float, gain: int, table
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Elements (m,) of one material and of one shape of its lobes: (kind, alpha, ior, row of gains) of every slot, and its coat's rows."""
+    """Elements (m,) of one material and of one shape of its lobes: (kind, alpha, ior, row of gains, many) of every slot, and its coat."""
 
     elements: np.ndarray
-    kinds: list[tuple[int, float, float, int]]
+    kinds: list[tuple[int, float, float, int, bool]]
     coating: Mixture
 
 
-def _mean_surfaces(elements: Elements, table: bsdf.BsdfTable) -> tuple[list[np.ndarray], list[_Group]]:
-    """Mean colour (ne, 3) float64 of the diffuse base and of every slot, and the elements in groups that scatter alike.
+def _mean_surfaces(elements: Elements, table: bsdf.BsdfTable) -> tuple[list[np.ndarray], list[np.ndarray], list[_Group]]:
+    """Mean colour (ne, 3) float64 of the diffuse base and of every slot, mean tint of every slot, and the elements in groups that
+    scatter alike.
 
     Where roughness or index vary over a material, an element has the mean of its points, rounded to the grid of `curves`.
     """
@@ -210,6 +213,7 @@ def _mean_surfaces(elements: Elements, table: bsdf.BsdfTable) -> tuple[list[np.n
     even = all(x.color.is_constant and not x.varies for m in scene.materials for x in m.lobes)
     steps = [0.25] if even else (np.arange(COLOR_GRID) + 0.5) / COLOR_GRID
     colors = [np.zeros((elements.count, 3)) for _ in range(1 + table.count)]
+    tints = [np.zeros((elements.count, 3)) for _ in range(table.count)]
     shapes = np.zeros((elements.count, table.count, 2))
     index = np.arange(elements.count)
     for a in steps:
@@ -219,6 +223,7 @@ def _mean_surfaces(elements: Elements, table: bsdf.BsdfTable) -> tuple[list[np.n
             for total, color in zip(colors, (lobes.diffuse, *(s.color for s in lobes.slots)), strict=True):
                 total += color / len(steps) ** 2
             for k, slot in enumerate(lobes.slots):
+                tints[k] += (slot.color if slot.tint is None else slot.tint) / len(steps) ** 2
                 shapes[:, k] += np.stack([np.sqrt(slot.alpha), slot.ior], axis=1) / len(steps) ** 2
     own = np.asarray(scene.material)[surface.triangle]
     groups = []
@@ -228,9 +233,9 @@ def _mean_surfaces(elements: Elements, table: bsdf.BsdfTable) -> tuple[list[np.n
             groups += _shaped(which, int(material), shapes[which], lobes, table)
         else:
             e = which[0]
-            kinds = [(int(s.kind[e]), float(s.alpha[e]), float(s.ior[e]), int(s.gain.rows[0][e])) for s in lobes.slots]
+            kinds = [(int(s.kind[e]), float(s.alpha[e]), float(s.ior[e]), int(s.gain.rows[0][e]), bool(s.many[e])) for s in lobes.slots]
             groups.append(_Group(which, kinds, lobes.coating.take(which[:1])))
-    return colors, groups
+    return colors, tints, groups
 
 
 def _shaped(which: np.ndarray, material: int, shapes: np.ndarray, lobes: bsdf.Lobes, table: bsdf.BsdfTable) -> list[_Group]:
@@ -242,6 +247,7 @@ def _shaped(which: np.ndarray, material: int, shapes: np.ndarray, lobes: bsdf.Lo
         at = which[np.flatnonzero(group.ravel() == g)]
         kinds = []
         for slot, fields, (roughness, ior) in zip(lobes.slots, table.slots, shape, strict=True):
-            kinds.append((int(slot.kind[at[0]]), float(roughness**2), float(ior), fields.gain_row(material, float(roughness), float(ior))))
+            gain = fields.gain_row(material, float(roughness), float(ior))
+            kinds.append((int(slot.kind[at[0]]), float(roughness**2), float(ior), gain, bool(slot.many[at[0]])))
         out.append(_Group(at, kinds, lobes.coating.take(at[:1])))
     return out

@@ -115,10 +115,11 @@ def constant_of(x: Scalar) -> float:
 class Lobe:
     """One term of a BSDF (or an emission) with its weight.
 
-    kinds: diffuse, emission; metallic, specular (a dielectric coat over the rest), glossy, glass, refraction, transparent, and
-    dielectric, which is what glass reflects without what it passes.
+    kinds: diffuse, rough diffuse, emission; metallic, specular (a dielectric coat over the rest), glossy, glass, refraction,
+    transparent, and dielectric, which is what glass reflects without what it passes.
     roughness (0 to 1) and ior may vary over the surface.
-    multiscatter: light that bounces more than once between microfacets is kept (metallic, glossy and glass).
+    multiscatter: light that bounces more than once between microfacets is kept (metallic, glossy, glass and rough diffuse).
+    tint: the surface's own colour, which absorbs at each of those bounces (rough diffuse), where `color` is a share of it in a mix.
     """
 
     kind: str
@@ -126,6 +127,7 @@ class Lobe:
     roughness: Scalar = 1.0
     ior: Scalar = 1.45
     multiscatter: bool = False
+    tint: Color | None = None
 
     @property
     def varies(self) -> bool:

@@ -6,9 +6,7 @@ import numpy as np
 
 from ..base.errors import Notice
 from .arrays import Color, Material, Scalar, SceneArrays, Source, Texture, constant_of
-
-# How a method that knows only diffuse surfaces takes the other lobes; reflections of a coat or of clear glass are left out.
-AS_DIFFUSE = ("diffuse", "metallic", "glossy", "glass", "refraction", "transparent")
+from .substitutes import as_diffuse
 
 
 class Shading:
@@ -17,7 +15,7 @@ class Shading:
     def __init__(self, scene: SceneArrays) -> None:
         self.scene = scene
         self._material = np.asarray(scene.material, np.int32)
-        self._albedo = ColorField([m.total(*AS_DIFFUSE) for m in scene.materials], scene)
+        self._albedo = ColorField([as_diffuse(m) for m in scene.materials], scene)
         self._emission = ColorField([m.total("emission") for m in scene.materials], scene)
 
     @property

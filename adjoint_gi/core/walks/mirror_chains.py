@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..bsdf import table as bsdf
-from ..scene.shading import ColorField
+from ..bsdf.lobes import FIRST_PASS_LOBES, SHINY
 from ..scene.world import Surface, World
 from .radiance import leaving
 from .shooting import Arrived, Flight, Scattered, shoot
@@ -55,18 +55,18 @@ class Chains:
 
     def __init__(self, world: World, depth: int, rough: bool = True) -> None:
         self.world = world
-        self.table = bsdf.BsdfTable(world.scene)
+        # What is nearly diffuse ends a chain, as elements know its light.
+        self.table = bsdf.BsdfTable(world.scene, FIRST_PASS_LOBES)
         self.depth = depth
         self.rough = rough
-        shiny = [any(x.kind in bsdf.KINDS and not x.color.is_black for x in m.lobes) for m in world.scene.materials]
+        shiny = [any(x.kind in SHINY and not x.color.is_black for x in m.lobes) for m in world.scene.materials]
         self.shiny = np.array(shiny or [False])[np.asarray(world.scene.material, np.int64)]
         self.any = bool(self.shiny.any())
-        self._diffuse = ColorField([m.total("diffuse") for m in world.scene.materials], world.scene)
-        self.albedo_varies = bool(self._diffuse.varying)
+        self.albedo_varies = bool(self.table.diffuse.varying)
 
     def diffuse(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(n, 3) float32 albedo of the diffuse lobe alone, what lies on it left out."""
-        return np.clip(self._diffuse.at(triangle, u, v), np.float32(0), np.float32(1))
+        return np.clip(self.table.diffuse.at(triangle, u, v), np.float32(0), np.float32(1))
 
     def share(self, surface: Surface, wo: np.ndarray) -> np.ndarray:
         """(n,) float32 what coats leave for the diffuse lobe of light that leaves towards, or comes from, `wo` (n, 3)."""

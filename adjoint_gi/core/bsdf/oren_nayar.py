@@ -1,0 +1,80 @@
+"""Rough diffuse surfaces: Oren and Nayar 1994 in the form of Fujii 2012 ("improved Oren-Nayar"), and what its facets lose given back.
+
+    f = c (a + b t) + c m
+    a = 1 / (pi + r (pi / 2 - 2 / 3)),  b = r a,  t = s / max(cos i, cos o) where s = wi.wo - cos i cos o is above 0, else s
+    m = rho^2 / pi * Em / (1 - rho (1 - Em)) * (1 - E(wo)) (1 - E(wi)) / (1 - Em)
+
+with roughness r, colour c, E the albedo of the first term for c = 1 and Em its mean. The second term is what Kulla and Conty 2017 add to
+microfacets, in closed form as in OpenPBR; white surfaces then lose nothing. `Lobe.multiscatter` switches it on. Cycles computes it from
+4.3 on, and multiplies by the colour c where the formula of OpenPBR has one factor rho less; so does this file.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import microfacet as mf
+from .diffuse import cosine_directions
+from .lobe import Drawn, LobeKind, Seen
+
+LOSS = np.float32(np.pi / 2 - 2 / 3)  # 1 - E(cos) = b (LOSS - G(cos))
+MEAN = np.float32((2 * np.pi - 5.6) / 3)  # cosine-weighted mean of G
+
+
+class OrenNayar(LobeKind):
+    """Reciprocal; drawn by the cosine."""
+
+    name = "rough diffuse"
+    under_coat = nearly_diffuse = True
+    parts = 2
+
+    def evaluate(self, seen: Seen, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Above the surface only."""
+        up = np.maximum(wi[:, 2], 0)
+        once, again = terms(seen.alpha, seen.wo, wi)
+        value = seen.color * (once * up)[:, None]
+        if seen.many.any():
+            value += seen.color * kept(seen.alpha, seen.tint) * (again * up * seen.many)[:, None]
+        return value, up / mf.PI
+
+    def sample(self, seen: Seen, smooth: np.ndarray, r: np.ndarray) -> Drawn:
+        """With the density cosine / pi."""
+        return Drawn(cosine_directions(r), seen.color)
+
+    def split(self, alpha: float) -> tuple[str, float]:
+        """A smooth one, which is an ideal diffuser."""
+        return self.name, 0.0
+
+    def factors(self, alpha: float, given: np.ndarray, other: np.ndarray) -> list[np.ndarray]:
+        """The first term of f, and the second one without its colours, over 1 / pi."""
+        return [np.pi * x.astype(float) for x in terms(np.full(len(given), alpha, np.float32), given, other)]
+
+    def tints(self, alpha: float, many: bool, color: np.ndarray, tint: np.ndarray) -> list[np.ndarray]:
+        """The colour, and what is left of it after more bounces."""
+        return [color, many * color * kept(np.full(len(color), alpha), tint)]
+
+
+def terms(alpha: np.ndarray, wo: np.ndarray, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """a + b t (n,), and (1 - E(wo)) (1 - E(wi)) / (pi (1 - Em)) (n,), for directions on the same side, z > 0."""
+    r = np.sqrt(alpha)
+    a = 1 / (mf.PI + r * LOSS)
+    b = r * a
+    o, i = np.maximum(wo[:, 2], 0), np.maximum(wi[:, 2], 0)
+    s = mf.dot(wo, wi) - o * i
+    t = np.where(s > 0, s / np.maximum(np.maximum(o, i), mf.TINY), s)
+    return a + b * t, b * (LOSS - _g(o)) * (LOSS - _g(i)) / (mf.PI * (LOSS - MEAN))
+
+
+def kept(alpha: np.ndarray, tint: np.ndarray) -> np.ndarray:
+    """(n, 3) rho^2 Em / (1 - rho (1 - Em))."""
+    r = np.sqrt(alpha)
+    mean = ((mf.PI + r * MEAN) / (mf.PI + r * LOSS))[:, None]
+    rho = np.clip(tint, 0, 1)
+    return rho * rho * mean / (1 - rho * (1 - mean))
+
+
+def _g(c: np.ndarray) -> np.ndarray:
+    """Fujii's G(cos), (n,): E = a pi + b G. The last term is written so that it keeps its digits at grazing angles."""
+    s = np.sqrt(np.maximum(1 - c * c, 0))
+    third = np.float32(2 / 3)
+    return s * (np.arccos(np.minimum(c, 1)) - third - s * c) + third * s * c * (1 + s + s * s) / (1 + s)
