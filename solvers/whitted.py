@@ -24,7 +24,7 @@ from ..adjoint_gi.core.base.parallel import thread_count
 from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf import mirrors
 from ..adjoint_gi.core.bsdf import table as bsdf
-from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES, DIFFUSE, KINDS, LOBES, REFRACTING
+from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES, DIFFUSE, KINDS, LOBES, REFRACTING, SHINING
 from ..adjoint_gi.core.lights.direct import INF, from_hits
 from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.lights.light_points import LightPoints, phong_lobe
@@ -260,7 +260,7 @@ class Tracer:
     def _mirrors(self, lobes: bsdf.Lobes) -> tuple[np.ndarray, ...]:
         """For each slot where it is followed by rays, (n,) bool."""
         if self.settings.rough == "mirrors":
-            return tuple(x.kind > 0 for x in lobes.slots)
+            return tuple(SHINING[x.kind] for x in lobes.slots)
         return tuple((x.kind > 0) & (x.delta | REFRACTING[x.kind]) for x in lobes.slots)
 
     def _diffuse(self, surface: Surface, lobes: bsdf.Lobes) -> tuple[np.ndarray, int]:
@@ -273,7 +273,7 @@ class Tracer:
         out = np.zeros((len(surface.triangle), 3), np.float32)
         rays = 0
         phong = self.settings.rough == "phong"
-        base_lobes = lobes.without(tuple(np.ones(len(out), bool) for _ in lobes.slots)) if phong else lobes
+        base_lobes = lobes.without(tuple(SHINING[x.kind] for x in lobes.slots)) if phong else lobes
         p = bsdf.weights(base_lobes)
         for wi, cosine, radiance, weight, cast in self.points.at(self.world, surface, True):
             rays += cast

@@ -306,10 +306,11 @@ def test_methods_that_know_only_diffuse_take_the_mean_albedo_of_a_rough_one(many
     assert not Shading(scene).substitutions(kinds.ALL_LOBES)
 
 
+@pytest.mark.parametrize("coat", [[], [Lobe("specular", C(1.0), 1.0, 1.5)]], ids=["bare", "coated"])
 @pytest.mark.parametrize("many", [False, True])
-def test_elements_with_directions_scatter_a_rough_diffuse_lobe_as_it_is(many):
+def test_elements_with_directions_scatter_a_rough_diffuse_lobe_as_it_is(many, coat):
     """Bins: what leaves a face lit from one bin is the BSDF's mean over both bins."""
-    lobes = [Lobe("rough diffuse", C(0.9, 0.6, 0.3), 1.0, multiscatter=many)]
+    lobes = [Lobe("rough diffuse", C(0.9, 0.6, 0.3), 1.0, multiscatter=many), *coat]
     b = SceneBuilder()
     b.quad("Quad", (0, 0, 0), (1, 0, 0), (0, 1, 0), Material("M", tuple(lobes)))
     world, bins = World(b.build()), Bins(4, 8)

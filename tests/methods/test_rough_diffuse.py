@@ -1,10 +1,13 @@
 """Rough diffuse walls (Oren and Nayar) in every method: computed, or taken as diffuse with a notice."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
 from adjgi.adjoint_gi.core.method.registry import method
-from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Lobe, Material
 from adjgi.adjoint_gi.core.scene.substitutes import as_diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import load
@@ -40,6 +43,16 @@ def test_methods_of_diffuse_elements_take_the_mean_albedo_and_say_so(name):
     assert np.allclose(rough.quantity("irradiance"), plain.quantity("irradiance"), rtol=1e-4)
     said = [n.object for n in rough.warnings if n.reason == "rough diffuse taken as diffuse by this method"]
     assert said == [f"Material Rough {i}" for i in range(5)]
+
+
+@pytest.mark.parametrize("rough", ["highlights", "phong", "mirrors", "refuse"])
+def test_recursive_ray_tracing_lights_it_whatever_it_makes_of_rough_reflection(rough):
+    world = walls(True)
+    camera = Camera("perspective", (0.5, 0.5, 0.5), (0, 1, 0), (0, 0, 1), (1, 0, 0), (-0.5, 0.5, -0.5, 0.5), 8, 8)
+    world = World(dataclasses.replace(world.scene, camera=camera))
+    found = solved("whitted", world, CameraReceivers(world), rough=rough, light_points=256)
+    want = solved("path_tracing", world, CameraReceivers(world), samples=512, max_length=1)
+    assert found.quantity("radiance").mean() == pytest.approx(want.quantity("radiance").mean(), rel=0.03)
 
 
 @pytest.mark.parametrize("name", ["distribution", "directional_radiosity", "spherical_harmonics", "particle_tracing"])

@@ -42,6 +42,7 @@ def those(which: Callable[[LobeKind], bool]) -> np.ndarray:
 REFLECTING = those(lambda kind: kind.reflects)
 PASSING = those(lambda kind: kind.passes)
 REFRACTING = those(lambda kind: kind.refracts)
+SHINING = REFLECTING | PASSING
 PARTIAL = those(lambda kind: kind.partial)
 HIGHLIGHT = those(lambda kind: kind.highlight)
 

@@ -193,6 +193,11 @@ class BsdfTable:
         found = self.coats.at(coating, False, cosine)
         return np.minimum(found, LARGEST) if coating.shares else found
 
+    def below_coat(self, coating: Mixture, out: np.ndarray, back: np.ndarray) -> np.ndarray:
+        """(n,) what coats leave for lobes below at the cosines (n,) of wo and wi, reciprocal (Ashikhmin et al. 2000)."""
+        leaves, enters = 1 - self.coat_at(coating, out), 1 - self.coat_at(coating, back)
+        return leaves * enters / (1 - self.coats.mean_at(coating))
+
     def at(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, ns: np.ndarray, side: np.ndarray, wo: np.ndarray) -> Lobes:
         """Lobes at barycentrics of triangles with shading normals `ns` on the side of `wo`; `side` is +1 outside, -1 inside."""
         material = self._material[triangle]
@@ -286,13 +291,11 @@ def white_lobe(number: int, alpha: float, ior: float, wo: np.ndarray, front: boo
 
 
 def _below_coat(lobes: Lobes, cosine: np.ndarray) -> np.ndarray | None:
-    """(n,) what coats leave for lobes below, reciprocal in wo and wi (Ashikhmin et al. 2000); `cosine` (n,) of wi. None: no coats."""
+    """(n,) what coats leave for lobes below; `cosine` (n,) of wi. None: no coats."""
     table = lobes.table
     if not table.any_coat:
         return None
-    out = 1 - lobes.coat()
-    back = 1 - table.coat_at(lobes.coating, cosine)
-    return out * back / (1 - table.coats.mean_at(lobes.coating))
+    return table.below_coat(lobes.coating, lobes.local[:, 2], cosine)
 
 
 def weights(lobes: Lobes) -> np.ndarray:

@@ -106,9 +106,10 @@ class Scattering:
                 if not any(x.any() for x in shares):
                     continue
                 self.clear |= LOBES[kind].refracts and ior != 1
-                key = (kind, alpha, ior, gain)
+                coating = group.coating if LOBES[kind].under_coat and group.coating.any() else None
+                key = (kind, alpha, ior, gain, None if coating is None else done)
                 if key not in cache:
-                    cache[key] = _kernels(basis, *key, table, self.pairs)
+                    cache[key] = _kernels(basis, *key[:4], table, self.pairs, coating)
                     yield (done - 0.5) / len(groups)
                 if gain:
                     kept = table.gains.kept(Mixture.of(gain, len(color)), LOBES[kind].mean(color))
@@ -178,15 +179,21 @@ def _product(kernel: np.ndarray, x: np.ndarray, transposed: bool) -> np.ndarray:
     return flat.reshape(m, 3, size).transpose(0, 2, 1)
 
 
-def _kernels(basis: Basis, kind: int, alpha: float, ior: float, gain: int, table: bsdf.BsdfTable, count: int) -> list:
+def _kernels(
+    basis: Basis, kind: int, alpha: float, ior: float, gain: int, table: bsdf.BsdfTable, count: int, coating: Mixture | None
+) -> list:
     """One pair of matrices for each part of the lobe that has a colour of its own (`LobeKind.tints`). The same once more, where there
-    is a gain, for what bounces more than once between microfacets.
+    is a gain, for what bounces more than once between microfacets. `coating`: of one point, what lies over the lobe.
     """
     lobe = LOBES[kind]
     measure = np.array([1.0, ior * ior if lobe.refracts else 1.0])
     name, width = lobe.split(alpha)
     front = pairs(KINDS[name], width, ior, True, table, count)
     back = front if lobe.two_sided else pairs(KINDS[name], width, ior, False, table, count)
+    if coating is not None:
+        front, back = (
+            p.times(table.below_coat(coating.take(np.zeros(len(p.given), int)), p.given[:, 2], p.other[:, 2])) for p in (front, back)
+        )
     shares = list(zip(*(lobe.factors(alpha, p.given, p.other) for p in (front, back)), strict=True))
     if gain:
         more = (front.excess(table.gains, gain, False), back.excess(table.gains, gain, True))
