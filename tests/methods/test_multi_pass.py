@@ -12,12 +12,13 @@ from adjgi.adjoint_gi.core.base.settings import NO_LIMIT
 from adjgi.adjoint_gi.core.bsdf import table as bsdf
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
+from adjgi.adjoint_gi.core.method import clock
 from adjgi.adjoint_gi.core.method.registry import Nature, Strategy, method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
-from adjgi.adjoint_gi.core.walks import gathering, radiance
+from adjgi.adjoint_gi.core.walks import radiance
 from adjgi.tests import scenes, solving
 
 steps = partial(solving.steps, "multi_pass")
@@ -83,7 +84,7 @@ def test_flux_is_conserved_over_mirrors_at_every_step():
 
 def test_a_picture_at_once_that_goes_over_into_the_second(monkeypatch):
     # A step after every batch, so that the steps do not depend on the speed of the machine.
-    monkeypatch.setattr(gathering, "PAUSE", 0.0)
+    monkeypatch.setattr(clock, "PAUSE", 0.0)
     world = World(shiny_box())
     receivers = CameraReceivers(world)
     fraction, pictures = 0.0, []

@@ -130,14 +130,14 @@ def test_rough_lobes_take_part_in_the_first_pass_or_not():
 def test_light_of_a_point_lamp_over_a_mirror():
     """The mirror shows a second lamp at height -1, at three times the distance of the first from the ceiling."""
     first = first_pass(scenes.lamp_over_mirror(), 100.0, particles=2_000_000, rays=16)
-    assert first.caustics.unmet.any()
-    got = first.caustics.total[2]  # front of the ceiling, which faces down
-    assert np.allclose(got, first.caustics.unmet.sum(axis=0)[2])
-    straight = first.lamps.irradiance[2]
+    assert first.outside.caustics.unmet.any()
+    got = first.outside.caustics.total[2]  # front of the ceiling, which faces down
+    assert np.allclose(got, first.outside.caustics.unmet.sum(axis=0)[2])
+    straight = first.outside.straight[2]
     assert np.allclose(got / straight, 1 / 9, rtol=0.1)
     assert np.allclose(first.total[2], got + straight, rtol=1e-6)
     none = first_pass(scenes.lamp_over_mirror(), 100.0, particles=0, rays=16)
-    assert not none.caustics.total.any() and np.allclose(none.total[2], straight)
+    assert not none.outside.caustics.total.any() and np.allclose(none.total[2], straight)
 
 
 def test_light_of_a_lamp_with_a_size_through_a_pane():
@@ -159,7 +159,7 @@ def test_light_of_a_lamp_with_a_size_through_a_pane():
     truth = np.pi * (found.direct + found.indirect).astype(float)
     error = truth.std(axis=0) / np.sqrt(n)
     first = first_pass(b.build(), 100.0, particles=2_000_000, rays=16)
-    assert not first.caustics.unmet.any()
+    assert not first.outside.caustics.unmet.any()
     got = first.total[0]
     assert (np.abs(got - truth.mean(axis=0)) < 5 * error + 0.02 * truth.mean(axis=0)).all()
     assert (error < 0.02 * truth.mean(axis=0)).all()
