@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..sampling.maps import disk, frame_rows
+from ..sampling.maps import cone_local, disk, frame_rows, polar
 
 
 def reject(local: np.ndarray, keep: Callable, propose: Callable, rng: np.random.Generator) -> None:
@@ -24,17 +24,12 @@ def sphere_directions(s: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 def cone_directions(low: float, s: np.ndarray, t: np.ndarray) -> np.ndarray:
     """(n, 3) uniform directions with z between `low` and 1."""
-    gap = (1 - low) * s  # 1 - z, kept apart because a narrow cone would lose it to rounding
-    r = np.sqrt(np.maximum(0, gap * (2 - gap)))
-    phi = 2 * np.pi * t
-    return np.stack([r * np.cos(phi), r * np.sin(phi), 1 - gap], axis=1)
+    return np.ascontiguousarray(cone_local(1 - low, s, t).T)
 
 
 def lambert_cone(widest: float, s: np.ndarray, t: np.ndarray) -> np.ndarray:
     """(n, 3) directions with density proportional to cosine, up to the angle of sine `widest` from z."""
-    r = widest * np.sqrt(s)
-    phi = 2 * np.pi * t
-    return np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(np.maximum(0, 1 - r * r))], axis=1)
+    return np.ascontiguousarray(polar(widest**2 * s, 2 * np.pi * t).T)
 
 
 def across(direction: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

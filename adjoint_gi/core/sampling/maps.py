@@ -91,12 +91,17 @@ def cone(axis: np.ndarray, one_minus_cos: np.ndarray, u: np.ndarray, v: np.ndarr
 
     `one_minus_cos` (n,) is 1 minus the cosine of the half angle, which stays exact for narrow cones.
     """
+    x, y = frame(axis)
+    a, b, c = cone_local(one_minus_cos, u, v)
+    return x * a + y * b + axis * c, c
+
+
+def cone_local(one_minus_cos: np.ndarray | float, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """`cone` about the z axis: (3, n) unit directions in the type of the numbers; with `one_minus_cos` 2 all over the sphere."""
     h = u * one_minus_cos
     r = np.sqrt(np.maximum(h * (2 - h), 0))
-    phi = TWO_PI * v
-    x, y = frame(axis)
-    c = ONE - h
-    return x * (r * np.cos(phi)) + y * (r * np.sin(phi)) + axis * c, c
+    phi = 2 * np.pi * v
+    return np.stack([r * np.cos(phi), r * np.sin(phi), 1 - h])
 
 
 def disk(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

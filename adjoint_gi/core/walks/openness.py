@@ -1,7 +1,7 @@
 """Whether light leaves the scene, and whether it arrives at the backs of faces: a few thousand particles, followed before a bake.
 
 A bake shows the fronts of faces. Where much of an object's light arrives at backs, its normals point the wrong way, or it is an open
-sheet lit from behind; the share is told. Light that leaves a nearly closed scene is a leak.
+sheet lit from behind; the share is reported. Light that leaves a nearly closed scene is a leak.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def measure(world: World, particles: int = PARTICLES) -> Openness:
 
 
 def notices(world: World, wanted: set[int] | None = None, particles: int = PARTICLES) -> list[Notice]:
-    """What `measure` finds, in words. Backs are told of the objects `wanted` (indices), by default of all."""
+    """What `measure` finds, in words. Backs are reported of the objects `wanted` (indices), by default of all."""
     found = measure(world, particles)
     out = []
     if 0 < found.escaped < LEAK:
