@@ -5,15 +5,14 @@
 def _parts() -> tuple:
     """The modules that register something, in order."""
     from . import operators, panels
-    from .adjoint_gi.bridge.baking import check, jobs
+    from .adjoint_gi.bridge.baking import check
     from .adjoint_gi.bridge.cli import main as cli
-    from .adjoint_gi.bridge.comparison import job as compare_job
     from .adjoint_gi.bridge.comparison import records as compare_records
     from .adjoint_gi.bridge.engine import render_engine as engine
-    from .adjoint_gi.bridge.host import preferences
+    from .adjoint_gi.bridge.host import background, preferences
     from .adjoint_gi.bridge.props import properties
 
-    return (properties, compare_records, preferences, jobs, compare_job, check, operators, engine, panels, cli)
+    return (properties, compare_records, preferences, background, check, operators, engine, panels, cli)
 
 
 def register() -> None:

@@ -118,7 +118,7 @@ def arrange() -> None:
 
 def session():
     """The states one after the other; yields the seconds to wait."""
-    jobs, check = module("adjoint_gi.bridge.baking.jobs"), module("adjoint_gi.bridge.baking.check")
+    bakes, check = module("adjoint_gi.bridge.baking.jobs").BAKES, module("adjoint_gi.bridge.baking.check")
     operator("add_demo_scene")
     yield PAUSE
     arrange()
@@ -150,27 +150,27 @@ def session():
     yield from wait(lambda: not any(n.severity == "error" for n in check._Cache.notices))
 
     operator("bake")
-    yield from wait(lambda: not jobs.running() or jobs.current().bake.driver.fraction > 0.3)
+    yield from wait(lambda: not bakes.running or bakes.job.driver.fraction > 0.3)
     yield PAUSE
     save_panel("panel_running")
     began = time.monotonic()
     operator("stop")
     print(f"STOP took {time.monotonic() - began:.2f} s", flush=True)
-    yield from wait(lambda: not jobs.running())
+    yield from wait(lambda: not bakes.running)
     yield 8 * PAUSE  # a new panel opens slowly on a busy machine
     save_panel("panel_stopped")
     operator("resume")
-    yield from wait(lambda: not jobs.running())
+    yield from wait(lambda: not bakes.running)
     yield 8 * PAUSE
     save_panel("panel_finished")
-    if jobs.current().state != "finished" or jobs.current().notices:
-        raise RuntimeError(f"the bake ended as {jobs.current().state}: {[str(n) for n in jobs.current().notices]}")
+    if bakes.job.state != "finished" or bakes.job.notices:
+        raise RuntimeError(f"the bake ended as {bakes.job.state}: {[str(n) for n in bakes.job.notices]}")
 
     # Radiosity has an energy balance and no noise.
     state.method, state.resolution = "progressive_radiosity", 256
     yield PAUSE
     operator("bake")
-    yield from wait(lambda: not jobs.running())
+    yield from wait(lambda: not bakes.running)
     yield 3 * PAUSE
     save_panel("panel_balance")
     operator("show_result")
@@ -203,7 +203,7 @@ def session():
 
     # Quitting in the middle of a bake must not wait for its end.
     operator("bake")
-    yield from wait(lambda: jobs.running() and jobs.current().bake.driver.fraction > 0.05)
+    yield from wait(lambda: bakes.running and bakes.job.driver.fraction > 0.05)
     print(f"QUIT {time.time()}", flush=True)
     bpy.ops.wm.quit_blender()
     yield LIMIT

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from . import bake, compare, demo, result
+from . import background, bake, compare, demo, result
 
-register, unregister = bpy.utils.register_classes_factory((*bake.classes, *result.classes, *demo.classes, *compare.classes))
+PARTS = (background, bake, result, demo, compare)
+register, unregister = bpy.utils.register_classes_factory([cls for part in PARTS for cls in part.classes])

@@ -6,93 +6,36 @@ from __future__ import annotations
 import bpy
 
 from ..adjoint_gi.bridge.baking import check, jobs
-from ..adjoint_gi.bridge.comparison import job as compare_job
 from ..adjoint_gi.bridge.props.properties import request_of
-from ..adjoint_gi.bridge.props.records import AdjointError, Notice
+from ..adjoint_gi.bridge.props.records import AdjointError
+from ..adjoint_gi.bridge.props.request import BakeRequest
+from .background import Starts, Stops, report
 
 
-def tell(operator: bpy.types.Operator, notice: Notice) -> None:
-    """Report a notice. Without a window an ERROR would become a RuntimeError in the calling script, which has the return value instead."""
-    kind = {"info": "INFO", "warning": "WARNING", "error": "ERROR"}[notice.severity]
-    operator.report({"WARNING" if kind == "ERROR" and bpy.app.background else kind}, str(notice))
-
-
-def summary(result: bpy.types.PropertyGroup) -> str:
-    """One sentence with the numbers of a bake."""
-    text = f"{'Partial result' if result.partial else 'Baked'} in {result.seconds:.1f} s with {int(result.rays or 0):,} rays"
-    return f"{text}, energy gap {100 * result.gap:.2g} %" if result.has_balance else text
-
-
-# Not UNDO: the job makes its own undo step when it writes, and the redo panel of an UNDO operator would start another bake.
-class ADJOINTGI_OT_bake(bpy.types.Operator):
+class ADJOINTGI_OT_bake(Starts, bpy.types.Operator):
     """Solve the scene with the chosen method and write the result"""
 
     bl_idname = "adjoint_gi.bake"
     bl_label = "Bake"
-    bl_options = {"REGISTER"}
+    runner = jobs.BAKES
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if jobs.running():
-            cls.poll_message_set("A bake is running")
-            return False
-        if compare_job.running():
-            cls.poll_message_set("Methods are being compared")
-            return False
-        if context.scene.library:
-            cls.poll_message_set("The scene is linked from another file")
-            return False
-        return True
+    def request(self, context: bpy.types.Context) -> BakeRequest:
+        """What the panel asks for."""
+        return request_of(context.scene, context.view_layer)
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """With a window: start in the background."""
-        if bpy.app.background:
-            return self.execute(context)
-        try:
-            jobs.start(context, request_of(context.scene, context.view_layer))
-        except AdjointError as error:
-            tell(self, error.notice)
-            return {"CANCELLED"}
-        return {"FINISHED"}
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """From a script: bake to the end."""
-        manager = context.window_manager
-        manager.progress_begin(0, 100)
-        try:
-            job = jobs.run(context, request_of(context.scene, context.view_layer), lambda fraction: manager.progress_update(100 * fraction))
-        except AdjointError as error:
-            tell(self, error.notice)
-            return {"CANCELLED"}
-        finally:
-            manager.progress_end()
-        for notice in (*job.notices, *job.bake.notices):
-            if notice.severity != "info":
-                tell(self, notice)
-        if job.state != "finished" or job.solution is not None:  # a kept solution is one that was not written
-            return {"CANCELLED"}
-        self.report({"INFO"}, summary(context.scene.adjoint_gi.result))
-        return {"FINISHED"}
+    def summary(self, scene: bpy.types.Scene) -> str:
+        """The numbers of the bake."""
+        result = scene.adjoint_gi.result
+        text = f"{'Partial result' if result.partial else 'Baked'} in {result.seconds:.1f} s with {int(result.rays or 0):,} rays"
+        return f"{text}, energy gap {100 * result.gap:.2g} %" if result.has_balance else text
 
 
-class ADJOINTGI_OT_stop(bpy.types.Operator):
+class ADJOINTGI_OT_stop(Stops, bpy.types.Operator):
     """Stop the bake and keep what it has"""
 
     bl_idname = "adjoint_gi.stop"
     bl_label = "Stop"
-    bl_options = {"INTERNAL"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not jobs.running():
-            cls.poll_message_set("No bake is running")
-            return False
-        return True
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Stop within a second."""
-        jobs.stop()
-        return {"FINISHED"}
+    runner = jobs.BAKES
 
 
 class ADJOINTGI_OT_resume(bpy.types.Operator):
@@ -104,7 +47,7 @@ class ADJOINTGI_OT_resume(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        job = jobs.current()
+        job = jobs.BAKES.job
         if job is None or job.state != "stopped":
             cls.poll_message_set("No bake was stopped")
             return False
@@ -115,7 +58,7 @@ class ADJOINTGI_OT_resume(bpy.types.Operator):
         try:
             jobs.resume()
         except AdjointError as error:
-            tell(self, error.notice)
+            report(self, error.notice)
             return {"CANCELLED"}
         return {"FINISHED"}
 
@@ -129,7 +72,7 @@ class ADJOINTGI_OT_write(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        job = jobs.current()
+        job = jobs.BAKES.job
         if job is None or job.active or job.solution is None:
             cls.poll_message_set("Every result has been written")
             return False
@@ -137,23 +80,11 @@ class ADJOINTGI_OT_write(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Try again."""
-        job = jobs.current()
+        job = jobs.BAKES.job
         job.write_again()
         for notice in job.notices:
-            tell(self, notice)
+            report(self, notice)
         return {"CANCELLED"} if job.notices else {"FINISHED"}
-
-
-class ADJOINTGI_OT_undo_step(bpy.types.Operator):
-    """Make an undo step of what a bake has written"""
-
-    bl_idname = "adjoint_gi.undo_step"
-    bl_label = "Adjoint GI"
-    bl_options = {"INTERNAL", "UNDO"}
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Nothing: Blender makes the step after it."""
-        return {"FINISHED"}
 
 
 class ADJOINTGI_OT_check(bpy.types.Operator):
@@ -168,10 +99,10 @@ class ADJOINTGI_OT_check(bpy.types.Operator):
         check.refresh()
         notices = check.now(context)
         for notice in notices:
-            tell(self, notice)
+            report(self, notice)
         if not notices:
             self.report({"INFO"}, "Nothing is missing")
         return {"FINISHED"}
 
 
-classes = (ADJOINTGI_OT_bake, ADJOINTGI_OT_stop, ADJOINTGI_OT_resume, ADJOINTGI_OT_write, ADJOINTGI_OT_undo_step, ADJOINTGI_OT_check)
+classes = (ADJOINTGI_OT_bake, ADJOINTGI_OT_stop, ADJOINTGI_OT_resume, ADJOINTGI_OT_write, ADJOINTGI_OT_check)

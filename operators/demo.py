@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 
 from ..adjoint_gi.bridge.props.records import AdjointError
-from .bake import tell
+from .background import report
 
 
 class ADJOINTGI_OT_add_demo_scene(bpy.types.Operator):
@@ -23,7 +23,7 @@ class ADJOINTGI_OT_add_demo_scene(bpy.types.Operator):
         try:
             scene = demo.build_cornell()
         except AdjointError as error:
-            tell(self, error.notice)
+            report(self, error.notice)
             return {"CANCELLED"}
         if context.window:
             context.window.scene = scene

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import bpy
 
-from ..adjoint_gi.bridge.baking import jobs
+from ..adjoint_gi.bridge.baking.jobs import BAKES
 from ..adjoint_gi.bridge.props import records
 from ..adjoint_gi.bridge.props.records import AdjointError
 from ..adjoint_gi.bridge.results import show as results
-from .bake import tell
+from .background import Clears, report
 
 
 class ADJOINTGI_OT_show_result(bpy.types.Operator):
@@ -31,7 +31,7 @@ class ADJOINTGI_OT_show_result(bpy.types.Operator):
         try:
             count = results.show(context.scene, context.view_layer)
         except AdjointError as error:
-            tell(self, error.notice)
+            report(self, error.notice)
             return {"CANCELLED"}
         self.report({"INFO"}, f"Showing the result on {count} object{'s' if count != 1 else ''}")
         return {"FINISHED"}
@@ -51,26 +51,17 @@ class ADJOINTGI_OT_restore(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class ADJOINTGI_OT_clear_results(bpy.types.Operator):
+class ADJOINTGI_OT_clear_results(Clears, bpy.types.Operator):
     """Put the materials back and forget the numbers of the last bake; baked images and attributes stay"""
 
     bl_idname = "adjoint_gi.clear_results"
     bl_label = "Clear Results"
-    bl_options = {"REGISTER", "UNDO"}
+    runner = BAKES
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if jobs.running():
-            cls.poll_message_set("A bake is running")
-            return False
-        return True
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def clear(self, scene: bpy.types.Scene) -> None:
         """Restore, then clear."""
-        results.restore(context.scene)
-        records.clear(context.scene.adjoint_gi.result)
-        jobs.forget()
-        return {"FINISHED"}
+        results.restore(scene)
+        records.clear(scene.adjoint_gi.result)
 
 
 classes = (ADJOINTGI_OT_show_result, ADJOINTGI_OT_restore, ADJOINTGI_OT_clear_results)

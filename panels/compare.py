@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import bpy
 
-from ..adjoint_gi.bridge.baking import jobs
-from ..adjoint_gi.bridge.comparison import job as compare_job
 from ..adjoint_gi.bridge.comparison import records as compare_records
+from ..adjoint_gi.bridge.comparison.job import COMPARISONS
+from ..adjoint_gi.bridge.host.background import busy, elsewhere
 from . import text
 from .draw import field, notice
 from .view3d import Tab
@@ -45,7 +45,7 @@ def choice(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Methods, budget, reference, receivers; only what is used."""
     state = context.scene.adjoint_gi_compare
     layout = layout.column()
-    layout.enabled = not (jobs.running() or compare_job.running())
+    layout.enabled = not busy()
     layout.use_property_decorate = False
     ticks = layout.box().column(align=True)
     for spec in compare_records.compared():
@@ -71,14 +71,14 @@ def choice(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 def run(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """The button, or how far it is."""
-    job = compare_job.current()
+    job = COMPARISONS.job
     if job is not None and job.active:
-        driver = job.made.driver
+        driver = job.driver
         left = f", {text.duration(driver.seconds_left)} left" if driver.seconds_left is not None else ""
         layout.progress(factor=driver.fraction, text=f"{100 * driver.fraction:.0f} %{left}")
-        elsewhere = jobs.elsewhere(job.scene, context.scene)
-        if elsewhere:
-            text.label(layout, context, f"Comparing in scene {elsewhere}", "SCENE_DATA")
+        other = elsewhere(job.scene, context.scene)
+        if other:
+            text.label(layout, context, f"Comparing in scene {other}", "SCENE_DATA")
         text.label(layout, context, driver.text)
         row = layout.row()
         row.scale_y = 1.4
@@ -88,7 +88,7 @@ def run(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     row = layout.row()
     row.scale_y = 1.4
     row.operator("adjoint_gi.compare")
-    if job is not None and job.notices and not jobs.elsewhere(job.scene, context.scene):
+    if job is not None and job.notices and not elsewhere(job.scene, context.scene):
         box = layout.box()
         for item in job.notices:
             notice(box, context, item)

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import bpy
 
-from ..adjoint_gi.bridge.baking import check, jobs
+from ..adjoint_gi.bridge.baking import check
+from ..adjoint_gi.bridge.baking.jobs import BAKES, BakeJob
+from ..adjoint_gi.bridge.host import background
 from ..adjoint_gi.bridge.props.properties import MethodSpec, chosen, group_name, method_label, own_and_common, quadrant
 from ..adjoint_gi.bridge.props.records import Notice
 from . import text
@@ -24,7 +26,7 @@ def choice(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Strategy, nature, method, and what the method is."""
     state = context.scene.adjoint_gi
     column = layout.column()
-    column.enabled = not jobs.running()
+    column.enabled = not BAKES.running
     for name in ("strategy", "nature"):
         words = [item.name for item in state.bl_rna.properties[name].enum_items]
         _beside(column, context, words).prop(state, name, expand=True)
@@ -77,7 +79,7 @@ def _form(layout: bpy.types.UILayout) -> None:
     """Names on the left, values on the right, locked while a bake runs."""
     layout.use_property_split = True
     layout.use_property_decorate = False
-    layout.enabled = not jobs.running()
+    layout.enabled = not BAKES.running
 
 
 def _wider(context: bpy.types.Context, pixels: int) -> bool:
@@ -152,8 +154,8 @@ def texels(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 def bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What is missing, the buttons, and how far the bake is."""
-    job = jobs.current()
-    elsewhere = jobs.elsewhere(job.scene, context.scene) if job is not None else ""
+    job = BAKES.job
+    elsewhere = background.elsewhere(job.scene, context.scene) if job is not None else ""
     if job is not None and job.active:
         _running(layout, context, job, elsewhere)
         return
@@ -175,15 +177,15 @@ def bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     if elsewhere:
         # Its objects and its panel are in that scene: Continue and Write Result are offered there.
         if job.state == "stopped":
-            text.label(layout, context, f"Stopped at {100 * job.bake.driver.fraction:.0f} % in scene {elsewhere}", "INFO")
+            text.label(layout, context, f"Stopped at {100 * job.driver.fraction:.0f} % in scene {elsewhere}", "INFO")
         elif job.solution is not None:
             text.label(layout, context, f"A result waits to be written in scene {elsewhere}", "INFO")
         return
     _ended(layout, context, job, notices)
 
 
-def _running(layout: bpy.types.UILayout, context: bpy.types.Context, job: jobs.Job, elsewhere: str) -> None:
-    driver = job.bake.driver
+def _running(layout: bpy.types.UILayout, context: bpy.types.Context, job: BakeJob, elsewhere: str) -> None:
+    driver = job.driver
     left = f", {text.duration(driver.seconds_left)} left" if driver.seconds_left is not None else ""
     layout.progress(factor=driver.fraction, text=f"{100 * driver.fraction:.0f} %{left}")
     if elsewhere:
@@ -197,9 +199,9 @@ def _running(layout: bpy.types.UILayout, context: bpy.types.Context, job: jobs.J
     row.operator("adjoint_gi.stop", text="Stop" if job.state == "running" else "Stopping...")
 
 
-def _ended(layout: bpy.types.UILayout, context: bpy.types.Context, job: jobs.Job, said: list[Notice]) -> None:
+def _ended(layout: bpy.types.UILayout, context: bpy.types.Context, job: BakeJob, said: list[Notice]) -> None:
     """What became of the bake; `said` is on the panel already."""
-    driver = job.bake.driver
+    driver = job.driver
     if job.state == "stopped":
         layout.progress(factor=driver.fraction, text=f"Stopped at {100 * driver.fraction:.0f} %")
     notices = [n for n in job.notices if n not in said]
@@ -226,8 +228,8 @@ def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     if record.partial:
         text.label(layout, context, "Partial result: the bake was stopped before its end", "ERROR")
     # What the Bake panel says of the last bake is not said again.
-    job = jobs.current()
-    said = job.notices if job is not None and not job.active and not jobs.elsewhere(job.scene, context.scene) else []
+    job = BAKES.job
+    said = job.notices if job is not None and not job.active and not background.elsewhere(job.scene, context.scene) else []
     paths = [path for path in record.files.splitlines() if not any(path in item.reason for item in said)]
     if not record.applied and paths:
         text.label(layout, context, "Kept as a file, not written to the objects", "ERROR")

@@ -15,14 +15,17 @@ import bpy
 import numpy as np
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.bridge.baking import jobs
+from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
 from adjgi.adjoint_gi.bridge.cli import compare as cli_compare
 from adjgi.adjoint_gi.bridge.cli import cornell as demo
 from adjgi.adjoint_gi.bridge.cli import main as cli
 from adjgi.adjoint_gi.bridge.comparison import job as compare_job
 from adjgi.adjoint_gi.bridge.comparison import records as compare_records
 from adjgi.adjoint_gi.bridge.comparison import request as compare
+from adjgi.adjoint_gi.bridge.comparison.job import COMPARISONS
 from adjgi.adjoint_gi.bridge.comparison.request import Compare, CompareRequest, ReferenceChoice
+from adjgi.adjoint_gi.bridge.host import background
+from adjgi.adjoint_gi.bridge.props.request import BakeRequest
 from adjgi.adjoint_gi.bridge.results import kept
 from adjgi.adjoint_gi.core.base.errors import AdjointError, Notice, SettingsError
 from adjgi.adjoint_gi.core.comparison.budget import Budget
@@ -76,7 +79,7 @@ def state(registered, box):
         setattr(found, compare_records.switch(spec.id), spec.id in METHODS.split(","))
     found.seconds, found.reference_seconds, found.resolution = 0.2, 0.4, 8
     yield found
-    compare_job.forget()
+    COMPARISONS.forget()
     assert not [t for t in threading.enumerate() if t.name == "adjoint_gi_driver"]
 
 
@@ -84,7 +87,7 @@ def ticks(until):
     end = time.monotonic() + LIMIT
     while not until():
         assert time.monotonic() < end, "it never came to that"
-        compare_job.tick()
+        background.tick()
         time.sleep(0.02)
 
 
@@ -373,7 +376,7 @@ def test_a_foreign_file_is_refused_before_the_run_and_never_costs_the_result(sta
     (tmp_path / "histogram.png").write_text("mine", encoding="utf-8")
     with pytest.raises(AdjointError, match="was not written by Adjoint GI"):
         start(state, folder=str(tmp_path))
-    assert compare_job.current() is None
+    assert COMPARISONS.job is None
     monkeypatch.setattr(compare_job, "check_files", lambda *_: None)
     job = start(state, 0.2, str(tmp_path))
     ticks(lambda: not job.active)
@@ -382,8 +385,8 @@ def test_a_foreign_file_is_refused_before_the_run_and_never_costs_the_result(sta
 
 
 def start(state, seconds=20.0, folder=""):
-    state.seconds = seconds
-    return compare_job.start(bpy.context, compare_records.request_of(bpy.context.scene, bpy.context.view_layer), folder)
+    state.seconds, state.folder = seconds, folder
+    return COMPARISONS.start(bpy.context, compare_records.request_of(bpy.context.scene, bpy.context.view_layer))
 
 
 def test_in_the_background_it_can_be_stopped_and_keeps_what_it_has(state):
@@ -393,7 +396,7 @@ def test_in_the_background_it_can_be_stopped_and_keeps_what_it_has(state):
     layout = Layout()
     panel.run(layout, bpy.context)
     assert layout.names("operator") == ["adjoint_gi.stop_comparing"] and layout.names("progress")
-    ticks(lambda: "Path Tracing" in job.made.driver.text and job.made.driver.solution() and job.made.driver.solution().entries)
+    ticks(lambda: "Path Tracing" in job.driver.text and job.driver.solution() and job.driver.solution().entries)
     assert bpy.ops.adjoint_gi.stop_comparing() == {"FINISHED"}
     ticks(lambda: not job.active)
     assert job.state == "stopped" and state.result.partial
@@ -405,38 +408,39 @@ def test_a_second_run_is_refused(state):
     start(state)
     with pytest.raises(AdjointError, match="is running"):
         start(state)
-    assert not jobs.running()
+    with pytest.raises(AdjointError, match="a comparison is running"):
+        BAKES.start(bpy.context, BakeRequest("path_tracing", registry.method("path_tracing").Settings()))
+    assert not BAKES.running and BAKES.job is None
 
 
 def test_loading_a_file_ends_it(state):
     job = start(state)
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    assert job.state == "cancelled" and compare_job.current() is None
+    assert job.state == "cancelled" and COMPARISONS.job is None
 
 
 def test_the_folder_is_passed_on_as_it_was_typed(state, monkeypatch):
     """With the path already made absolute the file that is not saved could not be named as the reason."""
     said = []
 
-    def run(context, request, progress, folder):
-        said.append(folder)
-        return compare_job.CompareJob(context, request, folder)
+    def run(context, request, progress):
+        said.append(request.output)
+        return compare_job.CompareJob(context, request)
 
-    monkeypatch.setattr(compare_job, "run", run)
+    monkeypatch.setattr(COMPARISONS, "run", run)
     state.folder = "//out"
     assert bpy.ops.adjoint_gi.compare() == {"CANCELLED"}
     assert said == ["//out"]
     with pytest.raises(AdjointError, match='"//out" is relative to the .blend file, which is not saved yet'):
-        compare_job.start(bpy.context, compare_records.request_of(bpy.context.scene, bpy.context.view_layer), "//out")
+        COMPARISONS.start(bpy.context, compare_records.request_of(bpy.context.scene, bpy.context.view_layer))
 
 
 def test_a_run_of_another_scene_says_so(state, monkeypatch):
     other = bpy.data.scenes.new("Attic")
     driver = types.SimpleNamespace(fraction=0.5, seconds_left=None, text="Path Tracing")
-    made = types.SimpleNamespace(driver=driver)
     notices = [Notice("Cube", "is odd", "", "error")]
-    job = types.SimpleNamespace(state="running", active=True, made=made, notices=notices, scene=other.session_uid)
-    monkeypatch.setattr(compare_job, "_job", job)
+    job = types.SimpleNamespace(state="running", active=True, driver=driver, notices=notices, scene=other.session_uid)
+    monkeypatch.setattr(COMPARISONS, "job", job)
     layout = Layout()
     panel.run(layout, bpy.context)
     assert "Comparing in scene Attic" in layout.words
@@ -448,7 +452,7 @@ def test_a_run_of_another_scene_says_so(state, monkeypatch):
     layout = Layout()
     panel.run(layout, bpy.context)
     assert "Cube" in layout.words
-    monkeypatch.setattr(compare_job, "_job", None)
+    monkeypatch.setattr(COMPARISONS, "job", None)
 
 
 def test_a_scene_that_is_gone_gets_no_result(state):

@@ -13,6 +13,8 @@ import bpy
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.bridge.baking import jobs
+from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
+from adjgi.adjoint_gi.bridge.host import background
 from adjgi.adjoint_gi.bridge.props.request import BakeRequest
 from adjgi.adjoint_gi.core.base.errors import AdjointError, TargetError, WriteError
 from adjgi.adjoint_gi.core.method.driver import Driver
@@ -50,14 +52,14 @@ class FakeBake:
 @pytest.fixture
 def scene(registered, monkeypatch):
     with fake_method(registered):
-        monkeypatch.setattr(jobs, "new_bake", FakeBake)
+        monkeypatch.setattr(jobs, "Bake", FakeBake)
         monkeypatch.setattr(FakeBake, "refuse", None)
         monkeypatch.setattr(FakeBake, "in_blend", ())
         monkeypatch.setattr(jobs.preferences, "refresh_seconds", lambda: 0.2)
         square()
         bpy.ops.ed.undo_push(message="Start")
         yield bpy.context.scene
-        jobs.forget()
+        BAKES.forget()
     assert not [t for t in threading.enumerate() if t.name == "adjoint_gi_driver"]
 
 
@@ -67,7 +69,7 @@ def request(steps=10**6, pause=0.01, **values):
 
 
 def start(**values):
-    return jobs.start(bpy.context, request(**values))
+    return BAKES.start(bpy.context, request(**values))
 
 
 def ticks(until, seconds=LIMIT):
@@ -75,7 +77,7 @@ def ticks(until, seconds=LIMIT):
     end = time.monotonic() + seconds
     while not until():
         assert time.monotonic() < end, "it never came to that"
-        jobs.tick()
+        background.tick()
         time.sleep(0.02)
 
 
@@ -90,14 +92,14 @@ def result():
 
 def test_it_finishes_writes_once_and_notes_the_numbers(scene):
     job = start(steps=5)
-    assert bpy.app.timers.is_registered(jobs._tick)
+    assert bpy.app.timers.is_registered(background._tick)
     ticks(lambda: not job.active)
     assert (job.state, job.notices, job.solution) == ("finished", [], None)
     assert [s.partial for s in job.bake.written] == [False]
     r = result()
     assert (r.method, r.partial, r.applied, r.files, r.target) == ("fake", False, True, "result.exr", "texture")
     assert list(r.mean) == pytest.approx([3, 6, 9])
-    assert jobs._tick() is None  # the timer ends
+    assert background._tick() is None  # the timer ends
 
 
 def test_partial_results_are_written_while_it_runs_but_seldom(scene):
@@ -112,7 +114,7 @@ def test_partial_results_are_written_while_it_runs_but_seldom(scene):
 def test_stop_keeps_the_partial_result_and_continue_goes_on(scene):
     job = start(steps=300, pause=0.005)
     ticks(lambda: job.bake.driver.fraction > 0.1)
-    jobs.stop()
+    BAKES.stop()
     assert job.state == "stopped" and not threads()
     assert job.bake.written[-1].partial
     assert result().partial and result().applied
@@ -126,7 +128,7 @@ def test_stop_keeps_the_partial_result_and_continue_goes_on(scene):
 
 def test_stop_before_the_first_step_says_so(scene):
     job = start(pause=0.3)
-    jobs.stop()
+    BAKES.stop()
     ticks(lambda: not job.active)
     assert job.state == "stopped"
     if not job.bake.written:
@@ -137,7 +139,7 @@ def test_a_second_start_is_refused(scene):
     job = start()
     with pytest.raises(AdjointError, match="another bake is running"):
         start()
-    assert jobs.current() is job and job.active
+    assert BAKES.job is job and job.active
     assert not bpy.ops.adjoint_gi.bake.poll()
 
 
@@ -258,7 +260,7 @@ def test_objects_with_the_same_problem_are_named_in_one_line(scene, tmp_path, mo
     for i in range(6):
         square(f"More {i}")
     names = tuple(o.name for o in scene.objects)
-    job = jobs.start(bpy.context, dataclasses.replace(request(steps=60, pause=0.005), objects=names))
+    job = BAKES.start(bpy.context, dataclasses.replace(request(steps=60, pause=0.005), objects=names))
     bpy.ops.object.mode_set(mode="EDIT")
     ticks(lambda: not job.active)
     bpy.ops.object.mode_set(mode="OBJECT")
@@ -270,9 +272,9 @@ def test_loading_a_file_cancels_and_waits_for_the_thread(scene):
     job = start()
     time.sleep(0.1)
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    assert (jobs.current(), job.state) == (None, "cancelled") and not threads()
-    assert not bpy.app.timers.is_registered(jobs._tick)
-    jobs.tick()
+    assert (BAKES.job, job.state) == (None, "cancelled") and not threads()
+    assert not bpy.app.timers.is_registered(background._tick)
+    background.tick()
 
 
 def test_saving_does_not_touch_it(scene, tmp_path):
@@ -291,9 +293,9 @@ def test_undo_and_redo_fifty_times(scene):
         obj = bpy.data.objects["Square"]
     for i in range(50):
         (bpy.ops.ed.undo if i % 10 < 5 else bpy.ops.ed.redo)()
-        jobs.tick()
+        background.tick()
     assert job.active and not job.notices
-    jobs.stop()
+    BAKES.stop()
     assert job.state == "stopped" and result().applied
 
 
@@ -302,7 +304,7 @@ def test_undo_of_the_baked_object_stops_the_job(scene, tmp_path, monkeypatch):
     square("Late")
     bpy.ops.ed.undo_push(message="Add")
     r = dataclasses.replace(request(), objects=("Late",))
-    job = jobs.start(bpy.context, r)
+    job = BAKES.start(bpy.context, r)
     ticks(lambda: job.bake.driver.version > 0)
     bpy.ops.ed.undo()
     assert "Late" not in bpy.data.objects
@@ -328,8 +330,8 @@ def test_rendering_during_the_job(scene):
 def test_disabling_the_extension_during_the_job(scene, registered):
     job = start()
     registered.unregister()
-    assert job.state == "cancelled" and jobs.current() is None and not threads()
-    assert not bpy.app.timers.is_registered(jobs._tick)
+    assert job.state == "cancelled" and BAKES.job is None and not threads()
+    assert not bpy.app.timers.is_registered(background._tick)
     registered.register()
 
 
@@ -346,16 +348,16 @@ def test_operators_stop_and_continue(scene):
 
 def test_the_foreground_bake_does_the_same(scene):
     shares = []
-    job = jobs.run(bpy.context, request(steps=4, pause=0.0), shares.append)
+    job = BAKES.run(bpy.context, request(steps=4, pause=0.0), shares.append)
     assert (job.state, shares) == ("finished", [0.25, 0.5, 0.75, 1.0])
     assert not result().partial and result().applied
-    job = jobs.run(bpy.context, request(steps=4, pause=0.0, mode="fails"), shares.append)
+    job = BAKES.run(bpy.context, request(steps=4, pause=0.0, mode="fails"), shares.append)
     assert job.state == "failed"
 
 
 def test_kept_files_have_their_own_names(scene, tmp_path, monkeypatch):
     monkeypatch.setattr(jobs.kept, "folder", lambda: tmp_path)
-    job = jobs.run(bpy.context, request(steps=1, pause=0.0), lambda fraction: None)
+    job = BAKES.run(bpy.context, request(steps=1, pause=0.0), lambda fraction: None)
     solution = job.bake.written[0]
     paths = {jobs.kept.save(solution) for _ in range(3)}
     assert len(paths) == 3 and all(Path(p).is_file() for p in paths)
@@ -375,7 +377,7 @@ def test_undo_steps_are_safe_while_threads_compute(scene):
         thread.start()
     try:
         for _ in range(1000):
-            jobs.push_undo("Adjoint GI Test")
+            background.push_undo("Adjoint GI Test")
     finally:
         end.set()
         for thread in threads:
@@ -389,6 +391,6 @@ def test_an_undo_step_is_made_without_a_window_too(scene):
         assert not bpy.ops.ed.undo_push.poll()
         for name in ("First", "Second"):
             bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, None))
-            jobs.push_undo("Adjoint GI Test")
+            background.push_undo("Adjoint GI Test")
     bpy.ops.ed.undo()
     assert names() == before | {"First"}

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from adjgi import solvers
 from adjgi.adjoint_gi.bridge.baking import check, jobs
+from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
+from adjgi.adjoint_gi.bridge.host import background
 from adjgi.adjoint_gi.bridge.props import properties
 from adjgi.adjoint_gi.bridge.results import links as targets
 from adjgi.adjoint_gi.core.method import registry
@@ -27,7 +29,7 @@ def scene(registered):
     scene.adjoint_gi.resolution = 16
     scene.adjoint_gi.margin = 2
     yield scene
-    jobs.forget()
+    BAKES.forget()
 
 
 def materials(scene):
@@ -100,19 +102,19 @@ def test_the_background_job_with_the_real_bake(registered, monkeypatch):
         state = bpy.context.scene.adjoint_gi
         state.resolution, state.uv_layer = 8, "UVMap"
         state.settings_fake.steps, state.settings_fake.pause = 150, 0.02
-        job = jobs.start(bpy.context, properties.request_of(bpy.context.scene))
+        job = BAKES.start(bpy.context, properties.request_of(bpy.context.scene))
         end = time.monotonic() + 20
         while targets.link(obj, "irradiance") is None and time.monotonic() < end:
-            jobs.tick()
+            background.tick()
             time.sleep(0.05)
         assert job.active
         image = targets.link(obj, "irradiance")["image"]
         assert '"partial": "yes"' in image["adjoint_gi_about"]
-        jobs.stop()
+        BAKES.stop()
         assert job.state == "stopped" and state.result.partial
         jobs.resume()
         while job.active and time.monotonic() < end:
-            jobs.tick()
+            background.tick()
             time.sleep(0.05)
         assert (job.state, job.notices) == ("finished", [])
         assert targets.link(obj, "irradiance")["image"] == image
@@ -120,4 +122,4 @@ def test_the_background_job_with_the_real_bake(registered, monkeypatch):
         image.pixels.foreach_get(pixels)
         np.testing.assert_allclose(pixels.reshape(8, 8, 4)[4, 4, :3], [3, 6, 9])
         assert '"partial": "no"' in image["adjoint_gi_about"]
-        jobs.forget()
+        BAKES.forget()

@@ -6,6 +6,8 @@ import types
 import bpy
 import pytest
 from adjgi.adjoint_gi.bridge.baking import check, jobs
+from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
+from adjgi.adjoint_gi.bridge.host import background
 from adjgi.adjoint_gi.bridge.props import properties, records
 from adjgi.adjoint_gi.core.base.errors import Notice
 from adjgi.adjoint_gi.core.method import registry
@@ -72,7 +74,7 @@ class Layout:
 def state(registered):
     with fake_method(registered):
         yield bpy.context.scene.adjoint_gi
-    jobs.forget()
+    BAKES.forget()
 
 
 def drawn(function, context=None):
@@ -139,9 +141,9 @@ def test_refusal_names_object_reason_and_remedy(state, monkeypatch):
 def fake_job(monkeypatch, scene, **values):
     """The current job, started in `scene`."""
     driver = types.SimpleNamespace(fraction=0.256, seconds_left=75.2, text="Sample 3", seconds=12.34, rays=4_560_000)
-    state = {"state": "running", "active": True, "bake": types.SimpleNamespace(driver=driver), "notices": [], "solution": None}
+    state = {"state": "running", "active": True, "driver": driver, "notices": [], "solution": None}
     job = types.SimpleNamespace(**(state | {"scene": scene.session_uid} | values))
-    monkeypatch.setattr(jobs, "_job", job)
+    monkeypatch.setattr(BAKES, "job", job)
     return job
 
 
@@ -162,7 +164,7 @@ def test_a_job_of_another_scene_says_so_and_is_continued_there(state, monkeypatc
     bpy.data.scenes.remove(other)
     layout = drawn(draw.bake)
     assert "Cube: is odd" in layout.words and "adjoint_gi.write" in layout.names("operator")
-    monkeypatch.setattr(jobs, "_job", None)
+    monkeypatch.setattr(BAKES, "job", None)
 
 
 def test_what_the_check_says_is_not_said_twice(state, monkeypatch):
@@ -171,7 +173,7 @@ def test_what_the_check_says_is_not_said_twice(state, monkeypatch):
     fake_job(monkeypatch, bpy.context.scene, state="finished", active=False, notices=[said, Notice("", "More")], solution=object())
     layout = drawn(draw.bake)
     assert layout.words.count("/gone") == 1 and "More" in layout.words and "adjoint_gi.write" in layout.names("operator")
-    monkeypatch.setattr(jobs, "_job", None)
+    monkeypatch.setattr(BAKES, "job", None)
 
 
 @pytest.mark.parametrize("width", [200, 305, 400])
@@ -216,7 +218,7 @@ def test_a_running_job_can_only_be_stopped(state, monkeypatch):
     layout = drawn(draw.bake)
     assert layout.names("operator") == ["adjoint_gi.bake", "adjoint_gi.resume"]
     assert layout.names("progress") == ["Stopped at 26 %"]
-    monkeypatch.setattr(jobs, "_job", None)
+    monkeypatch.setattr(BAKES, "job", None)
 
 
 def test_result_shows_its_numbers(state):
@@ -233,13 +235,13 @@ def test_result_shows_its_numbers(state):
 def test_a_kept_result_is_told_once(state, monkeypatch, tmp_path):
     show(monkeypatch)
     monkeypatch.setattr(jobs.kept, "folder", lambda: tmp_path)
-    monkeypatch.setattr(jobs, "new_bake", FakeBake)
+    monkeypatch.setattr(jobs, "Bake", FakeBake)
     square()
     state.selection_only, state.settings_fake.steps = True, 3
-    job = jobs.start(bpy.context, properties.request_of(bpy.context.scene))
+    job = BAKES.start(bpy.context, properties.request_of(bpy.context.scene))
     bpy.data.objects["Square"].data.clear_geometry()
     while job.active:
-        jobs.tick()
+        background.tick()
     (file,) = map(str, tmp_path.iterdir())
 
     def told():
@@ -250,7 +252,7 @@ def test_a_kept_result_is_told_once(state, monkeypatch, tmp_path):
 
     # Long words are broken over lines.
     assert told().count(file.split("/")[-1]) == 1 and told().count("mesh edited") == 1
-    jobs.forget()
+    BAKES.forget()
     assert told().count(file.split("/")[-1]) == 1 and told().count("mesh edited") == 1 and "Kept as a file" in told()
 
 

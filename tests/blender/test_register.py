@@ -48,11 +48,12 @@ def test_twenty_times_without_a_trace(registered):
 
 
 def test_unregistering_parts_twice_is_harmless(registered):
-    from adjgi.adjoint_gi.bridge.baking import check, jobs
+    from adjgi.adjoint_gi.bridge.baking import check
+    from adjgi.adjoint_gi.bridge.host import background
     from adjgi.adjoint_gi.bridge.props import properties
 
     registered.unregister()
-    for part in (check, jobs, properties):
+    for part in (check, background, properties):
         part.unregister()
     registered.register()
 

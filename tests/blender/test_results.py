@@ -6,9 +6,9 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge.baking import jobs
 from adjgi.adjoint_gi.bridge.baking.bake import BakeRequest, preflight
 from adjgi.adjoint_gi.bridge.baking.check import now
+from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
 from adjgi.adjoint_gi.bridge.baking.preflight import target_objects
 from adjgi.adjoint_gi.bridge.cli import cornell as demo
 from adjgi.adjoint_gi.bridge.comparison import records as compare_records
@@ -19,6 +19,7 @@ from adjgi.adjoint_gi.bridge.results import preview
 from adjgi.adjoint_gi.bridge.results import show as results
 from adjgi.adjoint_gi.bridge.results.attribute import linked_attribute, place_result_object, remove_result_object, result_object
 from adjgi.adjoint_gi.bridge.results.image import linked_image, read_pixels
+from adjgi.adjoint_gi.core.base.errors import SettingsError
 from adjgi.tests.blender.fakes import quick
 from adjgi.tests.blender.test_preview import difference, everything
 
@@ -35,7 +36,7 @@ def scene(registered):
     state = quick(made, "path_tracing")
     state.resolution = 8
     yield made
-    jobs.forget()
+    BAKES.forget()
 
 
 def bake(**values):
@@ -323,7 +324,7 @@ def test_with_only_results_selected_it_says_what_to_select(scene):
     assert results.nothing_selected(bpy.context.view_layer)[0] == notice.reason
     state = scene.adjoint_gi_compare
     state.selection_only, state.receivers = True, "texture"
-    with pytest.raises(jobs.AdjointError, match="only results are selected"):
+    with pytest.raises(SettingsError, match="only results are selected"):
         compare_records.request_of(scene, bpy.context.view_layer)
     # By name, as on the command line.
     request = BakeRequest("path_tracing", properties.settings_of(scene, "path_tracing"), objects=("Floor GI",))

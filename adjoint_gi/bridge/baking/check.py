@@ -10,9 +10,10 @@ import traceback
 import bpy
 
 from ...core.base.errors import AdjointError, Notice
+from ..host import background
 from ..props.properties import request_of
 from ..props.request import BakeRequest
-from . import jobs
+from .jobs import BAKES
 from .preflight import look, preflight
 
 INTERVAL = 1.0  # shortest time in seconds between two checks
@@ -70,7 +71,7 @@ def cached(scene: bpy.types.Scene) -> tuple[Notice, ...] | None:
 
 def refresh() -> None:
     """Look in the present scene, unless nothing has changed since the last look, and redraw if the answer is another."""
-    # As it is in a timer: `temp_override` with a window and threads at work would crash Blender, see `jobs.push_undo`.
+    # As it is in a timer: `temp_override` with a window and threads at work would crash Blender, see `background.push_undo`.
     context, started = bpy.context, time.monotonic()
     request, scene = _request(context), context.scene.session_uid
     _Cache.next_time = started + INTERVAL
@@ -85,11 +86,11 @@ def refresh() -> None:
     changed = (found, scene) != (_Cache.notices, _Cache.scene)
     _Cache.request, _Cache.notices, _Cache.scene, _Cache.dirty = request, found, scene, not full
     if changed:
-        jobs.redraw()
+        background.redraw()
 
 
 def _look() -> float | None:
-    if jobs.running():
+    if BAKES.running:
         return None
     # Not while something is being dragged or typed: every change puts the check off.
     quiet = time.monotonic() - _Cache.changed_at

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 import bpy
 
@@ -26,7 +25,7 @@ def compare(options: argparse.Namespace) -> int:
     use_threads(options.threads)
     request = request_of(options)
     open_scene(options)
-    folder = files.output_folder(str(Path(options.output).absolute()))
+    folder = files.output_folder(request.output)
     check_files(request, folder)
     made = Compare(bpy.context, request)
     say_notices(made.notices)

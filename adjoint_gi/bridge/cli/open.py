@@ -10,7 +10,7 @@ from pathlib import Path
 import bpy
 
 from ...core.base.errors import Notice, TargetError
-from ..baking import jobs
+from ..host import background
 from .progress import say_notices
 
 COMMAND = ("-c", "--command")
@@ -83,10 +83,10 @@ HANDLERS = (("load_post", _after_load), ("load_post_fail", _after_failure))
 
 def register() -> None:
     """Take note of files that cannot be opened."""
-    jobs.listen(HANDLERS)
+    background.listen(HANDLERS)
 
 
 def unregister() -> None:
     """Do so no longer."""
-    jobs.stop_listening(HANDLERS)
+    background.stop_listening(HANDLERS)
     _after_load()

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from collections.abc import Sequence
+from pathlib import Path
 
 from ...core.base.errors import SettingsError
 from ...core.base.settings import Settings
@@ -57,6 +58,7 @@ def request_of(options: argparse.Namespace) -> CompareRequest:
         settings_of(options.set, options.seed),
         options.repeats,
         options.seed,
+        str(Path(options.output).absolute()),
     )
 
 

@@ -157,6 +157,7 @@ def request_of(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Compa
         objects,
         state.resolution,
         {m: settings_of(scene, m) for m in {*methods, state.reference_method}},
+        output=state.folder,
     )
 
 

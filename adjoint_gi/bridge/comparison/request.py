@@ -79,7 +79,7 @@ class ReferenceChoice:
 @dataclass(frozen=True)
 class CompareRequest:
     """What is compared, where and how. methods empty means all that fit; `resolution` is texels a side, or pixels along the picture's
-    longer side."""
+    longer side. `output` is the folder for a page, JSON and PNG files; empty means none."""
 
     methods: tuple[str, ...] = ()
     budget: Budget = Budget()
@@ -90,6 +90,7 @@ class CompareRequest:
     settings: Mapping[str, Settings] = field(default_factory=dict)
     repeats: int = 4
     seed: int = 0
+    output: str = ""
 
     def plan(self) -> Plan:
         """For the core; raises SettingsError."""
