@@ -90,6 +90,40 @@ def against_order(source: str, path: str) -> list[str]:
     return found
 
 
+def circles(sources: dict[str, str]) -> list[list[str]]:
+    """Groups of modules that import each other, however far around; imports inside functions and for type checkers count."""
+    needs = {path: sorted(_modules(source, path, sources)) for path, source in sources.items()}
+    found, number, lowest, stack = [], {}, {}, []
+
+    def visit(path: str) -> None:  # Tarjan's strongly connected components
+        number[path] = lowest[path] = len(number)
+        stack.append(path)
+        for other in needs[path]:
+            if other not in number:
+                visit(other)
+            if other in stack:
+                lowest[path] = min(lowest[path], lowest[other])
+        if lowest[path] == number[path]:
+            group = stack[stack.index(path) :]
+            del stack[stack.index(path) :]
+            if len(group) > 1:
+                found.append(sorted(group))
+
+    for path in sources:
+        if path not in number:
+            visit(path)
+    return found
+
+
+def _modules(source: str, path: str, known: dict[str, str]) -> set[str]:
+    """The files of `known` that the module imports, itself left out."""
+    out = set()
+    for name in [name for name, relative in imports(ast.parse(source), path) if relative]:
+        places = [f"{place}{end}" for place in (name, name.rpartition("/")[0]) for end in (".py", "/__init__.py")]
+        out.add(next((place for place in places if place in known), path))
+    return out - {path}
+
+
 def own_names(source: str, path: str) -> list[str]:
     """Absolute imports of our own packages: they would load every module a second time."""
     return [f"imports {name}" for name, relative in imports(ast.parse(source), path) if not relative and name.split(".")[0] in OURS]
@@ -290,6 +324,17 @@ def test_order_names_every_folder(part, order):
         assert f'"adjgi.{part.replace("/", ".")}.{folder}"' in read("pyproject.toml"), f"pyproject.toml does not install {folder}"
         body = ast.parse(read(f"{part}/{folder}/__init__.py")).body
         assert len(body) == 1 and ast.get_docstring(ast.parse(read(f"{part}/{folder}/__init__.py")))
+
+
+def test_no_circle_of_modules():
+    found = circles({path: read(path) for path in PRODUCT})
+    assert not found, "\n".join(map(str, found))
+
+
+def test_circles_are_found():
+    lazy = {"core/a.py": "def f():\n    from .b import g", "core/b.py": "from . import c", "core/c.py": "from .a import f"}
+    assert circles(lazy) == [["core/a.py", "core/b.py", "core/c.py"]]
+    assert circles(lazy | {"core/b.py": "import numpy"}) == []
 
 
 def test_root_does_nothing_at_import_time():

@@ -13,6 +13,7 @@ import pytest
 from adjgi import solvers
 from adjgi.adjoint_gi.bridge.baking import bake as module
 from adjgi.adjoint_gi.bridge.baking.bake import ABOUT, Bake, BakeRequest
+from adjgi.adjoint_gi.bridge.baking.report import of_bake
 from adjgi.adjoint_gi.bridge.cli import cornell as demo
 from adjgi.adjoint_gi.bridge.cli.arguments import DEMO_METHODS
 from adjgi.adjoint_gi.bridge.results import links as targets
@@ -196,7 +197,7 @@ def test_stop_writes_a_labelled_partial_result_beside_the_whole_one(tmp_path):
     assert all("partial" in Path(f).name for f in made.files)
     assert json.loads(linked_image(room, "irradiance")[ABOUT])["partial"] == "yes"
     assert read_exr(Path(made.files[1]))[1]["partial"] == "yes"
-    report = made.report()
+    report = of_bake(made)
     assert report["partial"] and report["state"] == "stopped" and 0 < report["fraction"] < 1
 
 
@@ -268,7 +269,7 @@ def test_scene_without_light_is_black_and_says_so():
 def test_report_is_json_and_complete(tmp_path):
     furnace()
     made, solution = finish(request("particle_tracing", values={"particles": 10000}, output=str(tmp_path)))
-    report = json.loads(json.dumps(made.report()))
+    report = json.loads(json.dumps(of_bake(made)))
     assert report["settings"]["particles"] == 10000 and report["seed"] == 0
     assert report["seconds"] > 0 and report["rays"] == solution.rays > 10000
     balance = report["energy_balance"]

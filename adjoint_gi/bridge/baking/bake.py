@@ -4,7 +4,7 @@
     bake = Bake(context, request)      # refuses, or extracts, places receivers and makes the driver
     bake.driver.run()                  # or start(), stop(), resume() in the background
     bake.write(bake.driver.solution())
-    bake.report()
+    report.of_bake(bake)
 
 Everything here belongs on the main thread; only the driver's own thread computes, on copied arrays.
 """
@@ -16,7 +16,6 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
@@ -53,7 +52,7 @@ from ..results.lightmap_uv import (
     remove_lightmap_uv,
     shares_square,
 )
-from . import outputs, report
+from . import outputs
 from .preflight import has_own_layer, inspect, look, ordered, picture_size, preflight, receiving
 
 __all__ = ["Bake", "BakeRequest", "preflight"]
@@ -140,10 +139,6 @@ class Bake:
         self.files = [str(p) for p in paths]
         self.written = [*datablocks, *self.files]
         return self.written
-
-    def report(self) -> dict[str, Any]:
-        """Settings, seed, times, rays, energy balance, warnings, files, versions and flux numbers, ready for JSON."""
-        return report.of_bake(self)
 
     # ---- before the solve
 

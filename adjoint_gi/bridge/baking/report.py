@@ -8,7 +8,7 @@ import importlib.resources
 import platform
 import tomllib
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import bpy
 import numpy as np
@@ -18,15 +18,13 @@ from ...core.base.errors import Notice
 from ...core.base.parallel import thread_count
 from ...core.base.resources import peak_memory
 from ...core.method.solution import Solution
-
-if TYPE_CHECKING:
-    from .bake import Bake
+from .bake import Bake
 
 FORMAT = 1  # of the report
 
 
 def of_bake(bake: Bake) -> dict[str, Any]:
-    """Everything about a bake and what has become of it so far."""
+    """Settings, seed, times, rays, energy balance, warnings, files, versions and flux numbers of a bake as far as it has come."""
     request, driver, solution = bake.request, bake.driver, bake.driver.solution()
     spec, scene = driver.solver.spec, driver.world.scene
     out = {

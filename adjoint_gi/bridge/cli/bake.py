@@ -16,6 +16,7 @@ from ...core.base.errors import AdjointError, MemoryRefused, Notice, SceneError,
 from ...core.base.resources import peak_memory, size_text
 from ...core.method.solution import Solution
 from ..baking.bake import ABOUT, Bake, preflight
+from ..baking.report import of_bake
 from ..host import files
 from ..props.request import BakeRequest
 from ..results import kept
@@ -49,7 +50,7 @@ def bake(options: argparse.Namespace) -> int:
         return FAILED
     say_notices(made.notices[told:])
     if options.report:
-        print(f"wrote {write_report(Path(options.report), made.report())}")
+        print(f"wrote {write_report(Path(options.report), of_bake(made))}")
     print(summary(made))
     if failure is not None:
         if isinstance(failure, AdjointError):

@@ -20,6 +20,7 @@ from ...core.scene.arrays import Source
 from ...core.scene.shading import source_at
 from ...core.scene.world import World
 from ..baking.bake import Bake, BakeRequest
+from ..baking.report import of_bake
 from ..extract.depsgraph import extract
 from ..host import files
 from .arguments import INTERRUPTED, use_threads
@@ -68,19 +69,19 @@ def _bake_all(methods: list[str], folder: Path, began: float) -> int:
         made = _bake(method, "render", folder)
         if made is None:
             return INTERRUPTED
-        reports.append(made.report())
+        reports.append(of_bake(made))
         opened.append((f"picture by {made.driver.solver.spec.label}", Path(made.files[1])))
 
     # Step 2: a lightmap for all objects by path tracing, and vertex colours by progressive radiosity.
     made = _bake("path_tracing", "texture", folder, resolution=256, atlas=True)
     if made is None:
         return INTERRUPTED
-    reports.append(made.report())
+    reports.append(of_bake(made))
     opened += [("lightmap atlas by Path Tracing", Path(made.files[2])), ("its parts, as layers", Path(made.files[1]))]
     made = _bake("progressive_radiosity", "attribute", folder, quantity="radiosity", attribute=ATTRIBUTE)
     if made is None:
         return INTERRUPTED
-    reports.append(made.report())
+    reports.append(of_bake(made))
     opened.append(("vertex colours, as the camera sees them", attribute_picture(folder)))
 
     # Step 3: the scene with everything in it, and the numbers.

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +13,6 @@ from ...core.method.registry import MethodSpec
 from ...core.method.solution import Solution
 from ...core.receivers.base import CameraReceivers
 from ...core.scene.world import World
-
-if TYPE_CHECKING:
-    from .render_engine import Plan
 
 FAR = 1e10  # depth where there is no surface, as in Cycles
 
@@ -75,11 +71,11 @@ class Geometry:
         return Geometry((hits / rays).astype(np.float32), depth, unit.astype(np.float32), (behind / rays[:, None]).astype(np.float32))
 
 
-def pixels(spec: MethodSpec, solution: Solution, geometry: Geometry, plan: Plan) -> dict[str, np.ndarray]:
+def pixels(spec: MethodSpec, solution: Solution, geometry: Geometry, transparent: bool = False) -> dict[str, np.ndarray]:
     """(n, channels) float32 for every pass; with a transparent film the background's share is taken out."""
     radiance, emission = solution.quantity(solution.whole), solution.emitted
     alpha = np.ones_like(geometry.alpha)
-    if plan.transparent:
+    if transparent:
         alpha = geometry.alpha
         behind = geometry.behind * (solution.measure == "radiance")
         radiance, emission = (np.where(alpha[:, None] > 0, np.maximum(x - behind, 0), 0) for x in (radiance, emission))

@@ -15,7 +15,6 @@ from ...core.method.driver import Driver
 from ...core.method.solution import Solution
 from ..host import files
 from .passes import Geometry, pixels
-from .render_engine import Plan
 
 
 def exposure(values: np.ndarray) -> float:
@@ -33,9 +32,8 @@ def write_picture(
 ) -> list[Path]:
     """Write STEM.exr and STEM.png of a camera `solution` into `folder`; returns both paths. Raises TargetError or WriteError."""
     spec, scene = driver.solver.spec, driver.world.scene
-    plan = Plan(scene, driver.solver, driver.settings, transparent, "")
     width, height = scene.camera.width, scene.camera.height
-    passes = pixels(spec, solution, Geometry.of(driver.world, driver.receivers), plan)
+    passes = pixels(spec, solution, Geometry.of(driver.world, driver.receivers), transparent)
     layers = {name: np.asarray(values, np.float32).reshape(height, width, -1) for name, values in passes.items()}
     combined = layers.pop("Combined")
     picture, look = (files.output_file(folder, stem, suffix) for suffix in (".exr", ".png"))

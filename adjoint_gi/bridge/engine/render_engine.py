@@ -31,7 +31,7 @@ REFRESH = 0.5  # seconds between two updates of the picture
 
 
 @dataclasses.dataclass
-class Plan:
+class PreparedRender:
     """What `update` leaves for `render`: no Blender reference."""
 
     arrays: SceneArrays
@@ -54,30 +54,30 @@ class ADJOINTGI_RE_engine(bpy.types.RenderEngine):
 
     def __init__(self, *args: object, **kwargs: object) -> None:
         super().__init__(*args, **kwargs)
-        self.plan: Plan | AdjointError | None = None
+        self.prepared: PreparedRender | AdjointError | None = None
 
     def update(self, data: bpy.types.BlendData, depsgraph: bpy.types.Depsgraph) -> None:
         """Copy the scene."""
-        self.plan = None
+        self.prepared = None
         try:
             self.update_stats("Adjoint GI", "Reading the scene")
-            self.plan = prepare(depsgraph, self.resolution_x, self.resolution_y)
+            self.prepared = prepare(depsgraph, self.resolution_x, self.resolution_y)
         except AdjointError as error:
-            self.plan = error
+            self.prepared = error
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Solve and hand over the passes."""
         try:
-            if isinstance(self.plan, AdjointError):
-                raise self.plan
-            solve(self, self.plan or prepare(depsgraph, self.resolution_x, self.resolution_y))
+            if isinstance(self.prepared, AdjointError):
+                raise self.prepared
+            solve(self, self.prepared or prepare(depsgraph, self.resolution_x, self.resolution_y))
         except AdjointError as error:
             self.refuse(str(error))
         except Exception as error:  # an exception that leaves here would leave an unfinished render without a word
             traceback.print_exc()
             self.refuse(f"{type(error).__name__}: {error}")
         finally:
-            self.plan = None
+            self.prepared = None
 
     def refuse(self, text: str) -> None:
         """Show why there is no picture."""
@@ -91,7 +91,7 @@ class ADJOINTGI_RE_engine(bpy.types.RenderEngine):
             self.register_pass(scene, view_layer, name, channels, ids, kind)
 
 
-def prepare(depsgraph: bpy.types.Depsgraph, width: int, height: int) -> Plan:
+def prepare(depsgraph: bpy.types.Depsgraph, width: int, height: int) -> PreparedRender:
     """Read everything that `solve` needs; raises `AdjointError` when there can be no picture."""
     scene = depsgraph.scene_eval
     solver = chosen(scene)
@@ -108,7 +108,7 @@ def prepare(depsgraph: bpy.types.Depsgraph, width: int, height: int) -> Plan:
     if arrays.camera is None:
         raise SceneError(scene.name, "has no camera that can be used", "Add a perspective or orthographic camera and make it active")
     camera = cropped(arrays.camera, border(scene.render, width, height))
-    return Plan(
+    return PreparedRender(
         dataclasses.replace(arrays, camera=camera),
         solver,
         settings_of(scene, solver.spec.id),
@@ -135,23 +135,23 @@ def cropped(camera: Camera, part: tuple[int, int, int, int]) -> Camera:
     return dataclasses.replace(camera, frame=frame, width=part[1] - part[0], height=part[3] - part[2])
 
 
-def solve(engine: ADJOINTGI_RE_engine, plan: Plan) -> None:
+def solve(engine: ADJOINTGI_RE_engine, prepared: PreparedRender) -> None:
     """Run the method and fill the passes of `engine`; a break leaves no result."""
     preferences.apply_threads()
-    spec = plan.solver.spec
-    world = World(plan.arrays)
+    spec = prepared.solver.spec
+    world = World(prepared.arrays)
     receivers = CameraReceivers(world)
-    require_memory(spec.label, plan.solver.memory(world, receivers, plan.settings))
-    rng = np.random.default_rng(plan.settings.seed)
+    require_memory(spec.label, prepared.solver.memory(world, receivers, prepared.settings))
+    rng = np.random.default_rng(prepared.settings.seed)
     for name, channels, ids, _ in passes(spec):
         if name != "Combined":  # there from the start
-            engine.add_pass(name, channels, ids, layer=plan.layer)
-    result = engine.begin_result(0, 0, receivers.width, receivers.height, layer=plan.layer)
+            engine.add_pass(name, channels, ids, layer=prepared.layer)
+    result = engine.begin_result(0, 0, receivers.width, receivers.height, layer=prepared.layer)
     done = False
     try:
         geometry = Geometry.of(world, receivers)
         step, shown = None, time.monotonic()
-        steps = plan.solver.solve(world, receivers, plan.settings, rng)
+        steps = prepared.solver.solve(world, receivers, prepared.settings, rng)
         for step in steps:
             engine.update_progress(step.fraction)
             engine.update_stats(spec.label, step.text)
@@ -159,14 +159,14 @@ def solve(engine: ADJOINTGI_RE_engine, plan: Plan) -> None:
                 steps.close()
                 return
             if time.monotonic() - shown > REFRESH:
-                fill(result, pixels(spec, step.solution(), geometry, plan))
+                fill(result, pixels(spec, step.solution(), geometry, prepared.transparent))
                 engine.update_result(result)
                 shown = time.monotonic()
         if step is None:
             raise SceneError(spec.label, "gave no result", "Report this with the scene")
         solution = step.solution()
-        fill(result, pixels(spec, solution, geometry, plan))
-        for notice in (*plan.arrays.warnings, *solution.warnings):
+        fill(result, pixels(spec, solution, geometry, prepared.transparent))
+        for notice in (*prepared.arrays.warnings, *solution.warnings):
             if notice.severity == "warning":
                 engine.report({"WARNING"}, str(notice))
         if spec.uses_elements and "elements" not in solution.extra:

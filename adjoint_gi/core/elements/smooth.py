@@ -2,15 +2,36 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from .elements import Elements
+from ..scene.world import World
 
 SAME_NORMAL = float(np.cos(np.radians(1.0)))  # nodes whose shading normals differ by more are a hard edge
 SAME_PLACE = 2e-6  # relative to the size of the world
+
+
+class Grid(Protocol):
+    """What is read of `elements.Elements`: patches with their frames, and where each element lies in the grid of its patch."""
+
+    world: World
+    count: int
+    patch: np.ndarray
+    i: np.ndarray
+    j: np.ndarray
+    upper: np.ndarray
+    is_quad: np.ndarray
+    area: np.ndarray
+    quad: np.ndarray
+    n: np.ndarray
+    m: np.ndarray
+    origin: np.ndarray
+    edge_s: np.ndarray
+    edge_t: np.ndarray
+    patch_triangle: np.ndarray
+    patch_second: np.ndarray
+    _to_uv: np.ndarray
 
 
 class Nodes:
@@ -22,7 +43,7 @@ class Nodes:
     weight        (ne, 4) float64 of an element's value at each of its nodes
     """
 
-    def __init__(self, elements: Elements) -> None:
+    def __init__(self, elements: Grid) -> None:
         self.elements = elements
         local, first = self._grid()
         e = elements
