@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
-from adjgi.adjoint_gi.bridge.baking.bake import ABOUT, Bake, BakeRequest
+from adjgi.adjoint_gi.bridge.baking.bake import Bake, BakeRequest
 from adjgi.adjoint_gi.bridge.results.image import linked_image, read_pixels
 from adjgi.adjoint_gi.bridge.results.lightmap_uv import SHARED, STORED
-from adjgi.adjoint_gi.bridge.results.links import RESULTS, link
+from adjgi.adjoint_gi.bridge.results.links import ABOUT, RESULTS, link
 from adjgi.adjoint_gi.core.base.errors import AdjointError
 from adjgi.adjoint_gi.core.method import registry
 from adjgi.adjoint_gi.core.receivers.texels import Lightmap
@@ -67,7 +67,7 @@ def lightmaps(req: BakeRequest) -> dict[str, Baked]:
     """Bake textures, one an object, and read them from Blender's images; by name of the object."""
     made = bake(req)
     out = {}
-    for sheet in made._sheets:
+    for sheet in made.writer.sheets:
         obj = bpy.data.objects[sheet.name]
         pixels = read_pixels(linked_image(obj, req.quantity)).astype(np.float64)
         receivers = sheet.lightmap.receivers
@@ -75,7 +75,7 @@ def lightmaps(req: BakeRequest) -> dict[str, Baked]:
         one = np.minimum.reduceat(receivers.triangle, first) == np.maximum.reduceat(receivers.triangle, first)
         whole = (sheet.lightmap.image(one.astype(np.float32))[..., 0] > 0) & (sheet.lightmap.share == 1)
         out[sheet.name] = Baked(
-            pixels[..., :3], sheet.lightmap.share, whole, link(obj, req.quantity)["uv_layer"], sheet.lightmap, made.world
+            pixels[..., :3], sheet.lightmap.share, whole, link(obj, req.quantity)["uv_layer"], sheet.lightmap, made.driver.world
         )
     return out
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from adjgi.adjoint_gi.bridge.baking.bake import ABOUT
 from adjgi.adjoint_gi.bridge.cli import cornell as demo
 from adjgi.adjoint_gi.bridge.cli import main as cli
 from adjgi.adjoint_gi.bridge.results.image import linked_image, read_pixels
+from adjgi.adjoint_gi.bridge.results.links import ABOUT
 from adjgi.tests.baking import fingerprint
 from adjgi.tests.cycles_patch import add_light, diffuse_material
 

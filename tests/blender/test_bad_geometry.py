@@ -332,7 +332,7 @@ def test_24_instances_receive_nothing_and_cast_shadows(tmp_path):
     with pytest.raises(baking.AdjointError, match="child: .*seen only as an instance.*Make its instances real"):
         baking.Bake(bpy.context, found)
     made = baking.Bake(bpy.context, baking.request(resolution=16, values={"samples": 1}))
-    assert len(made.world.scene.objects) == 2001 and math.isclose(made.world.scene.vertices[:, 0].max(), 50.0)
+    assert len(made.driver.world.scene.objects) == 2001 and math.isclose(made.world.scene.vertices[:, 0].max(), 50.0)
 
 
 # ---- 27: edit mode

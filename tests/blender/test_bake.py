@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from adjgi import solvers
 from adjgi.adjoint_gi.bridge.baking import bake as module
-from adjgi.adjoint_gi.bridge.baking.bake import ABOUT, Bake, BakeRequest
+from adjgi.adjoint_gi.bridge.baking.bake import Bake, BakeRequest
 from adjgi.adjoint_gi.bridge.baking.report import of_bake
 from adjgi.adjoint_gi.bridge.cli import cornell as demo
 from adjgi.adjoint_gi.bridge.cli.arguments import DEMO_METHODS
@@ -20,6 +20,7 @@ from adjgi.adjoint_gi.bridge.results import links as targets
 from adjgi.adjoint_gi.bridge.results.attribute import linked_attribute
 from adjgi.adjoint_gi.bridge.results.image import linked_image, read_pixels
 from adjgi.adjoint_gi.bridge.results.lightmap_uv import STORED, make_lightmap_uvs
+from adjgi.adjoint_gi.bridge.results.links import ABOUT
 from adjgi.adjoint_gi.core.base.errors import AdjointError, TargetError
 from adjgi.adjoint_gi.core.images.exr import read_exr
 from adjgi.adjoint_gi.core.method import registry
@@ -122,13 +123,13 @@ def test_atlas_gives_each_object_its_own_place():
         floor, wall = scene.objects["Floor"], scene.objects["Left Wall"]
         image = linked_image(floor, "irradiance")
         assert image == linked_image(wall, "irradiance")
-        (sheet,) = made._sheets
+        (sheet,) = made.writer.sheets
         assert sheet.lightmap.overlapping == 0 and sheet.lightmap.covered.mean() > 0.6
-        owner = made.world.scene.object[sheet.lightmap.receivers.triangle[sheet.lightmap.receivers.start[:-1]]]
+        owner = made.driver.world.scene.object[sheet.lightmap.receivers.triangle[sheet.lightmap.receivers.start[:-1]]]
         assert len(np.unique(owner)) == len(sheet.uids)
         # Packed together, so the layers are used as they are, also by a second bake.
         for bake in (made, finish(request(atlas=True, resolution=128, values={"samples": 1}))[0]):
-            assert bake._sheets[0].placement == {} and list(targets.link(wall, "irradiance")["offset"]) == [0, 0]
+            assert bake.writer.sheets[0].placement == {} and list(targets.link(wall, "irradiance")["offset"]) == [0, 0]
 
 
 def test_objects_with_a_layer_from_before_get_squares_of_the_atlas():
@@ -138,7 +139,7 @@ def test_objects_with_a_layer_from_before_get_squares_of_the_atlas():
         before = digest(scene.objects["Floor"])
         made, _ = finish(request(atlas=True, resolution=128, values={"samples": 1}))
         a, b = (targets.link(scene.objects[name], "irradiance") for name in ("Floor", "Left Wall"))
-        assert list(a["offset"]) != list(b["offset"]) and made._sheets[0].lightmap.overlapping == 0
+        assert list(a["offset"]) != list(b["offset"]) and made.writer.sheets[0].lightmap.overlapping == 0
         assert digest(scene.objects["Floor"]) == before and not any("fills only a part" in n.reason for n in made.notices)
 
 
@@ -150,7 +151,7 @@ def test_objects_that_share_a_mesh_get_squares_of_the_atlas():
         scene.collection.objects.link(twin)
         made, _ = finish(request(atlas=True, resolution=128, values={"samples": 1}))
         a, b = (targets.link(scene.objects[name], "irradiance") for name in ("Twin", "Tall Box"))
-        assert list(a["offset"]) != list(b["offset"]) and made._sheets[0].lightmap.overlapping == 0
+        assert list(a["offset"]) != list(b["offset"]) and made.writer.sheets[0].lightmap.overlapping == 0
 
 
 def test_a_layer_made_for_an_atlas_is_kept_by_a_bake_without_and_this_is_said():

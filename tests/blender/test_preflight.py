@@ -390,7 +390,7 @@ def test_objects_of_other_files_are_skipped_with_a_warning(library, tmp_path):
     made, notices = run(bpy.context, request(output=str(tmp_path / "out")))
     assert any(n.object == "Far" and "not baked" in n.reason for n in notices)
     assert any("Near" in name for name in made.files) and not any("Far" in name for name in made.written)
-    assert len(made.world.scene.objects) == 2, "it is in the light"
+    assert len(made.driver.world.scene.objects) == 2, "it is in the light"
 
 
 def test_overrides_and_linked_meshes_are_skipped_with_a_warning(library):

@@ -8,10 +8,10 @@ import dataclasses
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge.baking.bake import ABOUT, Bake
+from adjgi.adjoint_gi.bridge.baking.bake import Bake
 from adjgi.adjoint_gi.bridge.cli import cornell as demo
 from adjgi.adjoint_gi.bridge.results.attribute import linked_attribute, remove_result_object, result_object
-from adjgi.adjoint_gi.bridge.results.links import RESULTS
+from adjgi.adjoint_gi.bridge.results.links import ABOUT, RESULTS
 from adjgi.adjoint_gi.core.base.errors import TargetError
 from adjgi.adjoint_gi.core.lights.direct import direct_irradiance
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
@@ -91,7 +91,7 @@ def test_every_element_method_makes_its_elements(method):
     assert len(value) == len(loops) == 64 and np.all(value[:, 3] == 1)
     # Corners at one place of a smooth surface have one value, that of the receiver there.
     wanted = solution.quantity(quantity)
-    vertices = done._nodes.vertices
+    vertices = done.writer.nodes.vertices
     nearest = np.linalg.norm(place[loops][:, None] - vertices, axis=2).argmin(axis=1)
     assert np.abs(vertices[nearest] - place[loops]).max() < 1e-5
     assert np.array_equal(value[:, :3], wanted[nearest]) and value[:, :3].max() > 0
@@ -104,7 +104,7 @@ def test_adaptive_elements_are_smaller_at_the_shadow_and_hold_the_light_there(do
     settings = {"max_edge": 0.1, "min_edge": 0.025, "adaptive": True, "rays": 400_000, "light_samples": 32}
     done, made = elements_of(floor, values=settings, objects=("Floor",), domain=domain)
     place, loops = points(made)
-    assert len(place) > 150 and len(done._nodes.vertices) == 121  # 11 x 11 before
+    assert len(place) > 150 and len(done.writer.nodes.vertices) == 121  # 11 x 11 before
     at_shadow = np.abs(np.abs(place[:, :2] - 0.5) - (0.24, 0.21)).min(axis=1) < 0.06
     fine = [p.area < 0.002 for p in made.data.polygons]
     middle = np.array([(made.matrix_world @ p.center)[:2] for p in made.data.polygons])
@@ -125,7 +125,7 @@ def test_adaptive_elements_are_smaller_at_the_shadow_and_hold_the_light_there(do
         assert np.allclose(light[middle], 0.5 * (light[a] + light[b]), rtol=1e-4, atol=1e-5)
     assert inner > 10
     # Direct light at the vertices, against many points of the lamp.
-    world = done.world
+    world = done.driver.world
     inside = (place[:, :2] > 0.05).all(axis=1) & (place[:, :2] < 0.95).all(axis=1)
     origin = (place - world.center + (0, 0, 0.01)).astype(np.float32)
     triangle, u, v, _ = world.intersect(origin, np.tile(np.array([[0, 0, -1]], np.float32), (len(place), 1)), RayKind.CAMERA)
@@ -214,7 +214,7 @@ def test_partial_results_show_the_elements_while_they_are_cut():
     settings = {"max_edge": 0.25, "min_edge": 0.0625, "adaptive": True, "rays": 100_000, "tolerance": 1e-4}
     made = Bake(bpy.context, request("progressive_radiosity", "attribute", settings, new_object=True, objects=("Floor",)))
     sizes = []
-    for step in made.driver.solver.solve(made.world, made.driver.receivers, made.request.settings, np.random.default_rng(0)):
+    for step in made.driver.solver.solve(made.driver.world, made.driver.receivers, made.request.settings, np.random.default_rng(0)):
         solution = step.solution()
         if not sizes or solution.partial and "mesh_weight" in solution.extra:
             made.write(solution)

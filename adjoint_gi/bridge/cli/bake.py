@@ -15,11 +15,12 @@ from ...core.base.atomic import check_target, replace_file
 from ...core.base.errors import AdjointError, MemoryRefused, Notice, SceneError, TargetError, WriteError
 from ...core.base.resources import peak_memory, size_text
 from ...core.method.solution import Solution
-from ..baking.bake import ABOUT, Bake, preflight
+from ..baking.bake import Bake, preflight
 from ..baking.report import of_bake
 from ..host import files
 from ..props.request import BakeRequest
 from ..results import kept
+from ..results.links import ABOUT
 from .arguments import DONE, FAILED, INTERRUPTED, request_of, use_threads
 from .open import open_scene
 from .progress import Progress, say_notices, seconds_text

@@ -20,7 +20,8 @@ from ...core.base.errors import Notice, TargetError
 from ...core.comparison.budget import Reference
 from ...core.receivers.texels import Lightmap
 from ...core.scene.world import World
-from ..baking.bake import Sheet, find_objects
+from ..baking.textures import Sheet
+from ..baking.writer import find_objects
 from ..host.versions import uses_nodes
 from ..results.image import read_pixels
 

@@ -121,8 +121,8 @@ class Compare:
         self.scene_name = context.scene.name
         self.bake = Bake(context, _placing(context, request))
         self.notices: list[Notice] = [n for n in self.bake.notices if n.severity == "warning"]
-        world, receivers = self.bake.world, self.bake.driver.receivers
-        self.sheets = self.bake._sheets
+        world, receivers = self.bake.driver.world, self.bake.driver.receivers
+        self.sheets = [] if camera else self.bake.writer.sheets
 
         # Step 2: a reference that no method makes.
         reference: Reference | None = None

@@ -11,8 +11,9 @@ import numpy as np
 from ...core.base.color import luminance
 from ...core.images.exr import write_exr
 from ...core.images.png import write_png
-from ...core.method.driver import Driver
+from ...core.method.registry import MethodSpec
 from ...core.method.solution import Solution
+from ...core.receivers.base import CameraReceivers
 from ..host import files
 from .passes import Geometry, pixels
 
@@ -28,13 +29,17 @@ def exposure(values: np.ndarray) -> float:
 
 
 def write_picture(
-    driver: Driver, solution: Solution, transparent: bool, folder: Path, stem: str, metadata: Mapping[str, str]
+    spec: MethodSpec,
+    receivers: CameraReceivers,
+    solution: Solution,
+    transparent: bool,
+    folder: Path,
+    stem: str,
+    metadata: Mapping[str, str],
 ) -> list[Path]:
     """Write STEM.exr and STEM.png of a camera `solution` into `folder`; returns both paths. Raises TargetError or WriteError."""
-    spec, scene = driver.solver.spec, driver.world.scene
-    width, height = scene.camera.width, scene.camera.height
-    passes = pixels(spec, solution, Geometry.of(driver.world, driver.receivers), transparent)
-    layers = {name: np.asarray(values, np.float32).reshape(height, width, -1) for name, values in passes.items()}
+    passes = pixels(spec, solution, Geometry.of(receivers.world, receivers), transparent)
+    layers = {name: np.asarray(values, np.float32).reshape(receivers.height, receivers.width, -1) for name, values in passes.items()}
     combined = layers.pop("Combined")
     picture, look = (files.output_file(folder, stem, suffix) for suffix in (".exr", ".png"))
     write_exr(picture, combined, layers, folder=folder, metadata=metadata)

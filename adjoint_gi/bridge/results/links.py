@@ -14,6 +14,7 @@ import bpy
 from ...core.base.errors import TargetError
 
 RESULTS = "adjoint_gi_results"
+ABOUT = "adjoint_gi_about"  # custom property of images and meshes that says what a result is
 MADE = "adjoint_gi_made"  # custom property of the objects that a bake has made to hold its result
 
 

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bakes to colour attributes: on the vertices or corners of each object, or of an object made of its elements."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...core.elements.elements import Elements
+from ...core.elements.mesh import ElementNodes, mesh_solution
+from ...core.method.solution import Solution
+from ...core.receivers.base import Receivers
+from ...core.receivers.vertices import VertexMap, vertex_receivers
+from ..results import links, preview
+from ..results.attribute import write_attribute
+from ..results.elements import write_elements
+from .preflight import receiving
+from .writer import Writer, find_objects
+
+
+class AttributeWriter(Writer):
+    """One colour attribute on each object, or on the object made of its elements. Files cannot hold it; the .blend does."""
+
+    vertices: VertexMap | None = None
+    nodes: ElementNodes | None = None  # of objects made of elements
+
+    def place(self, context: bpy.types.Context) -> Receivers:
+        """The corners of the elements where objects are made of them, else the vertices or corners of the meshes."""
+        request, world = self.request, self.world
+        indices = receiving(world.scene, request)
+        if request.new_object and request.solver.spec.uses_elements:
+            elements = Elements(world, request.settings.max_edge, request.solver.element_target(request.settings))
+            self.nodes = ElementNodes(elements, indices)
+            return self.nodes
+        self.vertices = vertex_receivers(world, indices, request.domain)
+        return self.vertices.receivers
+
+    def write(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:
+        """Every object: see the class."""
+        mesh = None
+        if self.nodes is not None:
+            mesh, solution = mesh_solution(self.nodes, solution)
+        values = solution.quantity(self.request.quantity)
+        valid = (solution.weight > 0).astype(np.float32)
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        datablocks = []
+        for index in receiving(self.world.scene, self.request):
+            obj = self.world.scene.objects[index]
+            target = find_objects((obj.uid,), obj.source)[0]
+            where = (target, self.request.quantity, self.request.domain)
+            how = {"name": self.request.attribute, "depsgraph": depsgraph}
+            if mesh is not None:
+                written = write_elements(*where, self.world.scene, index, mesh, values, valid, **how)
+            else:
+                found = self.vertices.spread(index, values), self.vertices.spread(index, valid)[:, 0]
+                written = write_attribute(*where, *found, **how, new_object=self.request.new_object)
+            written.object.data[links.ABOUT] = json.dumps(self.metadata(solution))
+            if written.taken is not None:
+                self.notices.append(written.taken)
+            preview.follow(written.object, self.request.quantity, written.attribute)
+            datablocks.append(f"attribute {written.attribute} of {written.object.name}")
+        return datablocks, []

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bakes of the camera's picture: an EXR with all passes, and a PNG to look at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ...core.method.solution import Solution
+from ...core.receivers.base import CameraReceivers, Receivers
+from ..engine.pictures import write_picture
+from . import outputs
+from .writer import Writer
+
+
+class PictureWriter(Writer):
+    """Two files; while the solve runs there is nowhere to write to."""
+
+    needs_folder = True
+
+    def place(self, context: bpy.types.Context) -> Receivers:
+        """The pixels of the camera."""
+        self.transparent = bool(context.scene.render.film_transparent)
+        return CameraReceivers(self.world)
+
+    def write(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:
+        """Both files: see the class."""
+        if folder is None:
+            return [], []
+        stem, spec = outputs.stem(self.request, self.scene_name, solution.partial), self.request.solver.spec
+        return [], write_picture(spec, self.receivers, solution, self.transparent, folder, stem, self.metadata(solution))

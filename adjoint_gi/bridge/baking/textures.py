@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bakes to textures: one lightmap image for each object, or one for all of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...core.base.errors import AdjointError, Notice
+from ...core.images.exr import write_exr
+from ...core.images.png import write_png
+from ...core.method.solution import Solution
+from ...core.receivers.base import Receivers
+from ...core.receivers.margin import fill_margin
+from ...core.receivers.pack import place_objects
+from ...core.receivers.texels import Lightmap, Placement, join, rasterize
+from ...core.scene.world import World
+from ..engine.pictures import exposure
+from ..host import files
+from ..props.request import BakeRequest
+from ..results import links, preview
+from ..results.image import linked_image, write_image
+from ..results.lightmap_uv import (
+    check_uv_layer,
+    find_uv_layer,
+    in_one_square,
+    make_lightmap_uvs,
+    paddings,
+    remove_lightmap_uv,
+    shares_square,
+)
+from . import outputs
+from .preflight import has_own_layer, receiving
+from .writer import Writer, find_objects
+
+COMPONENTS = ("emitted", "direct", "indirect", "albedo")  # layers of the file with all parts
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """One lightmap image: the objects that share it, its texels and its stretch of the receivers."""
+
+    name: str
+    uids: tuple[int, ...]
+    lightmap: Lightmap
+    part: slice
+    uv_layers: tuple[str, ...]
+    placement: dict[str, Placement]
+
+    def image(self, values: np.ndarray, weight: np.ndarray, margin: int) -> tuple[np.ndarray, np.ndarray]:
+        """Image (h, w, 3) float32 of `values` (n, 3) of all receivers, with its margin filled, and coverage (h, w) float32.
+
+        Texels without a sample yet (`weight` 0) count as not covered.
+        """
+        has = self.lightmap.image((weight[self.part] > 0).astype(np.float32))[..., 0] > 0
+        image, _ = fill_margin(self.lightmap.image(values[self.part]), has, margin)
+        return image, np.where(has, self.lightmap.share, np.float32(0))
+
+
+class TextureWriter(Writer):
+    """One image for each sheet; with a folder also its EXR, an EXR of all components, and a PNG to look at."""
+
+    @classmethod
+    def prepare(cls, context: bpy.types.Context, request: BakeRequest, world: World) -> list[Notice] | None:
+        """Make our UV layer on the meshes that receive and lack it, where no layer is named. All of them get one, or none.
+
+        Those of an atlas share one square, unless some objects share a mesh or have a layer from before: then each has its own.
+        """
+        if request.uv_layer:
+            return None
+        group, size = receiving(world.scene, request), request.resolution
+        objects = [find_objects((world.scene.objects[i].uid,), world.scene.objects[i].source)[0] for i in group]
+        first = {obj.data: (i, obj) for i, obj in reversed(list(zip(group, objects, strict=True)))}
+        lacking = [pair for mesh, pair in first.items() if not has_own_layer(mesh)]
+        if not lacking:
+            return None
+        if request.atlas and len(lacking) == len(objects):
+            notices = make_lightmap_uvs(objects, size, paddings(size))
+        else:
+            squares = _squares(world, group, request) if request.atlas else {}
+            notices = _make_layers(lacking, {i: round(squares[i].scale[0] * size) if squares else size for i in group})
+        context.view_layer.update()
+        return list(notices)
+
+    def place(self, context: bpy.types.Context) -> Receivers:
+        """The texels of all sheets, one sheet after the other."""
+        indices = receiving(self.world.scene, self.request)
+        groups = [indices] if self.request.atlas else [[i] for i in indices]
+        sheets = [self._sheet(context, group) for group in groups]
+        receivers, parts = join([sheet.lightmap.receivers for sheet in sheets])
+        self.sheets: Sequence[Sheet] = [replace(sheet, part=part) for sheet, part in zip(sheets, parts, strict=True)]
+        return receivers
+
+    def _sheet(self, context: bpy.types.Context, group: list[int]) -> Sheet:
+        """The texels of the objects `group`, which share one image."""
+        request, world = self.request, self.world
+        objects = [world.scene.objects[i] for i in group]
+        uids = tuple(o.uid for o in objects)
+        depsgraph = context.evaluated_depsgraph_get()
+        layers = []
+        found = find_objects(uids, objects[0].source)
+        for obj in found:
+            layers.append(find_uv_layer(obj, request.uv_layer))
+            self.notices += check_uv_layer(obj, layers[-1], depsgraph)
+        placement: dict[int, Placement] = {}
+        if not request.uv_layer and not (request.atlas and in_one_square(found)):
+            self.notices += [_in_part(obj) for obj in found if shares_square(obj)]
+            # A layer that the user names is taken as packed for the atlas already.
+            placement = _squares(world, group, request) if request.atlas else {}
+        layer_of = dict(zip(group, layers, strict=True))
+        lightmap = rasterize(world, group, layer_of, request.resolution, request.subsamples, placement)
+        self.notices += lightmap.warnings
+        name = outputs.title(request, self.scene_name, objects[0].source)
+        by_name = {world.scene.objects[i].source: p for i, p in placement.items()}
+        return Sheet(name, uids, lightmap, slice(0), tuple(layers), by_name)
+
+    def write(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:
+        """Every sheet: see the class."""
+        datablocks, paths = [], []
+        for sheet in self.sheets:
+            file = files.output_file(folder, outputs.stem(self.request, sheet.name, solution.partial), ".exr") if folder else None
+            image, coverage = sheet.image(solution.quantity(self.request.quantity), solution.weight, self.request.margin)
+            datablocks.append(f"image {self._write_datablock(sheet, image, coverage, solution, file).name}")
+            if folder:
+                paths += [file, *self._write_files(sheet, image, coverage, solution, folder)]
+        return datablocks, paths
+
+    def _write_datablock(
+        self, sheet: Sheet, image: np.ndarray, coverage: np.ndarray, solution: Solution, file: Path | None
+    ) -> bpy.types.Image:
+        """The image of the .blend file, which shows `file` where there is one; the objects' previews follow."""
+        objects, quantity = find_objects(sheet.uids, sheet.name), self.request.quantity
+        name = f"{sheet.name} {quantity}"
+        before = linked_image(objects[0], quantity)
+        made = write_image(
+            objects,
+            quantity,
+            image,
+            coverage,
+            name=name,
+            uv_layer=sheet.uv_layers[0],
+            placement=sheet.placement,
+            file=file,
+            folder=file.parent if file else None,
+        )
+        made[links.ABOUT] = json.dumps(self.metadata(solution))
+        for obj, layer in zip(objects, sheet.uv_layers, strict=True):
+            links.link(obj, quantity)["uv_layer"] = layer  # in an atlas they may have other names
+            preview.follow(obj, quantity)
+        if made != before and bpy.data.images.get(name, made) != made:
+            self.notices.append(Notice(sheet.name, f'another image is called "{name}", so the result is in "{made.name}"', "", "info"))
+        return made
+
+    def _write_files(self, sheet: Sheet, image: np.ndarray, coverage: np.ndarray, solution: Solution, folder: Path) -> list[Path]:
+        """The EXR of all components, and the PNG to look at."""
+        stem = outputs.stem(self.request, sheet.name, solution.partial)
+        layers = {"coverage": coverage}
+        for name in COMPONENTS:
+            layers[name] = sheet.image(getattr(solution, name), solution.weight, self.request.margin)[0]
+        parts = files.output_file(folder, stem + outputs.COMPONENTS, ".exr")
+        whole = np.concatenate([image, coverage[..., None]], axis=2)
+        write_exr(parts, whole, layers, folder=folder, metadata=self.metadata(solution))
+        picture = files.output_file(folder, stem, ".png")
+        write_png(picture, image * exposure(image[coverage > 0]), folder=folder)
+        return [parts, picture]
+
+
+def _make_layers(lacking: list[tuple[int, bpy.types.Object]], sides: dict[int, int]) -> list[Notice]:
+    """Unwrap each object for as many texels a side as `sides` says by its index; all get a layer, or none."""
+    notices: list[Notice] = []
+    made: list[bpy.types.Object] = []
+    for index, obj in lacking:
+        try:
+            notices += make_lightmap_uvs([obj], sides[index], paddings(sides[index]))
+        except AdjointError:
+            for other in made:
+                remove_lightmap_uv(other)
+            raise
+        made.append(obj)
+    return notices
+
+
+def _squares(world: World, group: list[int], request: BakeRequest) -> dict[int, Placement]:
+    """A square of the atlas for each object of `group`, by its area."""
+    area = {i: float(world.area[world.scene.objects[i].triangles].sum()) for i in group}
+    return place_objects(area, (request.resolution, request.resolution), max(1, min(8, request.margin)))
+
+
+def _in_part(obj: bpy.types.Object) -> Notice:
+    """A notice about a layer that was packed with others and is used without them."""
+    layer = find_uv_layer(obj, "")
+    reason = f'its UV layer "{layer}" was made for an atlas with other objects, so it fills only a part of the image'
+    return Notice(obj.name, reason, "Bake all of them in one atlas, or delete the layer to have one made that fills the image", "info")

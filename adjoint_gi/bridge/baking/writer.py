@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The interface of what a bake is for: receivers before the solve, datablocks and files after it. One subclass for each target."""
+
+from __future__ import annotations
+
+import abc
+import json
+from pathlib import Path
+
+import bpy
+
+from ...core.base.errors import Notice, TargetError
+from ...core.method.solution import Solution
+from ...core.receivers.base import Receivers
+from ...core.scene.world import World
+from ..props.request import BakeRequest
+
+
+class Writer(abc.ABC):
+    """Places the receivers of one bake of `world`, and writes solutions for them.
+
+    receivers   where the solve has to answer
+    notices     what was found while placing or writing
+    """
+
+    needs_folder = False  # whether the result is nothing but files
+
+    def __init__(self, context: bpy.types.Context, request: BakeRequest, world: World) -> None:
+        """Raises `AdjointError` when there is nothing to write to. Of `request`, `output` is not read: folders are given to `write`."""
+        self.request, self.world = request, world
+        self.scene_name = context.scene.name
+        self.notices: list[Notice] = []
+        self.receivers = self.place(context)
+
+    @classmethod
+    def prepare(cls, context: bpy.types.Context, request: BakeRequest, world: World) -> list[Notice] | None:
+        """Make what is missing on the objects before receivers can be placed; returns notices about it, None when nothing was made.
+
+        Where something was made, the scene has to be read again.
+        """
+        return None
+
+    @abc.abstractmethod
+    def place(self, context: bpy.types.Context) -> Receivers:
+        """The receivers, in an order that `write` knows."""
+
+    @abc.abstractmethod
+    def write(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:
+        """Write datablocks and, where a `folder` is given, files; returns the names of the ones and the paths of the others.
+
+        Raises `TargetError` or `WriteError`.
+        """
+
+    def metadata(self, solution: Solution) -> dict[str, str]:
+        """What a result says of itself."""
+        return {
+            "method": solution.method,
+            "quantity": solution.whole if self.request.target == "render" else self.request.quantity,
+            "partial": "yes" if solution.partial else "no",
+            "seconds": f"{solution.seconds:.3f}",
+            "settings": json.dumps(solution.settings, sort_keys=True),
+        }
+
+
+def find_objects(uids: tuple[int, ...], name: str) -> list[bpy.types.Object]:
+    """The objects of these session_uids; raises `TargetError` when one is gone."""
+    present = {o.session_uid: o for o in bpy.data.objects}
+    if any(uid not in present for uid in uids):
+        raise TargetError(name, "was deleted while it was baked", "Bake again")
+    return [present[uid] for uid in uids]
