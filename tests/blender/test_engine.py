@@ -8,7 +8,7 @@ import pytest
 from adjgi import solvers
 from adjgi.adjoint_gi.bridge.cli import cornell as demo
 from adjgi.adjoint_gi.bridge.engine.passes import FAR
-from adjgi.adjoint_gi.core.images import exr_numpy as exr_file
+from adjgi.adjoint_gi.core.images import exr
 from adjgi.adjoint_gi.core.method import registry
 from adjgi.tests.blender.fakes import camera, fake_method, quick, square
 
@@ -49,9 +49,9 @@ def rendered(scene, path, layer="ViewLayer") -> dict[str, np.ndarray]:
 
 def channels_of(path):
     """(name, (h, w) float32) of every channel of all parts of a file."""
-    if not exr_file.wheel_is_safe():
-        # Debian's Blender: the OpenEXR wheel would crash here (see core/images/exr_numpy.py). Its files have one part.
-        return list(exr_file.read_file(path)[0].items())
+    if not exr.wheel_is_safe():
+        # Debian's Blender: the OpenEXR wheel would crash here (see core/images/exr.py). Its files have one part.
+        return list(exr.read_numpy(path)[0].items())
     with OpenEXR.File(str(path), separate_channels=True) as file:
         return [(name, np.array(c.pixels, np.float32)) for part in file.parts for name, c in part.channels.items()]
 

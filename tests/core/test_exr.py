@@ -196,14 +196,14 @@ def test_disk_that_fills_up_is_a_clear_error_and_keeps_the_old_file(tmp_path):
 
 
 def test_a_file_that_reads_back_differently_is_not_kept(tmp_path, monkeypatch):
-    real = exr._read
+    real = exr.read_channels
 
     def flipped(path):
         channels, header = real(path)
         channels["R"][0, 0] += 1
         return channels, header
 
-    monkeypatch.setattr(exr, "_read", flipped)
+    monkeypatch.setattr(exr, "read_channels", flipped)
     with pytest.raises(WriteError, match="did not read back"):
         exr.write_exr(tmp_path / "a.exr", np.ones((4, 4, 3), np.float32), folder=tmp_path)
     assert list(tmp_path.iterdir()) == []

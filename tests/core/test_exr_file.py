@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.images import exr_numpy as exr_file
+from adjgi.adjoint_gi.core.images import exr
 
-if not exr_file.wheel_is_safe():
+if not exr.wheel_is_safe():
     pytest.skip("this program has an OpenEXR of its own, next to which the wheel crashes", allow_module_level=True)
 import OpenEXR
 
@@ -25,13 +25,13 @@ def channels(width, height, noise=False):
 def test_files_are_read_by_the_library_and_by_ourselves(tmp_path, size, noise):
     made = channels(*size, noise)
     path = tmp_path / "x.exr"
-    exr_file.write_file(path, made, {"software": "Adjoint GI", "adjoint_gi.note": "\u00fc 1"})
+    exr.write_numpy(path, made, {"software": "Adjoint GI", "adjoint_gi.note": "\u00fc 1"})
     with OpenEXR.File(str(path), separate_channels=True) as file:
         header = dict(file.header())  # closing the file empties it
         back = {name: np.array(c.pixels) for name, c in file.channels().items()}
     assert header["software"] == "Adjoint GI" and header["compression"] == OpenEXR.ZIP_COMPRESSION
-    own, strings = exr_file.read_file(path)
-    assert strings["adjoint_gi.note"] == "\u00fc 1" and exr_file.read_strings(path) == strings
+    own, strings = exr.read_numpy(path)
+    assert strings["adjoint_gi.note"] == "\u00fc 1" and exr.strings_numpy(path) == strings
     for name, values in made.items():
         assert np.array_equal(back[name].view(np.uint32), values.view(np.uint32))
         assert np.array_equal(own[name].view(np.uint32), values.view(np.uint32))
@@ -43,28 +43,42 @@ def test_files_of_the_library_are_read(tmp_path, compression):
     path = tmp_path / "x.exr"
     header = {"compression": getattr(OpenEXR, compression), "type": OpenEXR.scanlineimage, "software": "Adjoint GI"}
     OpenEXR.File(header, {k: v.copy() for k, v in made.items()}).write(str(path))
-    own, strings = exr_file.read_file(path)
+    own, strings = exr.read_numpy(path)
     assert strings["software"] == "Adjoint GI" and set(own) == set(made)
     assert all(np.array_equal(own[name].view(np.uint32), values.view(np.uint32)) for name, values in made.items())
 
 
 def test_damaged_files_are_refused(tmp_path):
     path = tmp_path / "x.exr"
-    exr_file.write_file(path, channels(20, 20), {})
+    exr.write_numpy(path, channels(20, 20), {})
     whole = path.read_bytes()
     for cut in (0, 3, 8, 50, 200, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:cut])
         with pytest.raises(RuntimeError, match="not an OpenEXR file"):
-            exr_file.read_file(path)
+            exr.read_numpy(path)
     path.write_bytes(b"P6 2 2 255 " + bytes(500))
     with pytest.raises(RuntimeError):
-        exr_file.read_strings(path)
+        exr.strings_numpy(path)
     rng = np.random.default_rng(2)
     for _ in range(200):
         data = bytearray(whole)
         data[int(rng.integers(8, 400))] ^= int(rng.integers(1, 256))
         path.write_bytes(data)
         try:
-            exr_file.read_file(path)
+            exr.read_numpy(path)
         except (RuntimeError, MemoryError):
             continue
+
+
+def test_pictures_are_the_same_with_and_without_the_wheel(tmp_path, monkeypatch):
+    """A picture with layers and metadata is written one way and read the other way."""
+    rng = np.random.default_rng(3)
+    image, layer = rng.random((9, 20, 4), np.float32), rng.random((9, 20), np.float32)
+    for writer in (True, False):
+        monkeypatch.setattr(exr, "wheel_is_safe", lambda writer=writer: writer)
+        path = exr.write_exr(tmp_path / f"{writer}.exr", image, {"depth": layer}, folder=tmp_path, metadata={"method": "x"})
+        monkeypatch.setattr(exr, "wheel_is_safe", lambda writer=writer: not writer)
+        layers, metadata = exr.read_exr(path)
+        assert exr.is_ours(path) and metadata == {"method": "x"}
+        np.testing.assert_array_equal(layers[""], image)
+        np.testing.assert_array_equal(layers["depth"][..., 0], layer)
