@@ -12,9 +12,9 @@ from ..host.versions import working_space_notice
 from ..results.show import unhidden
 from .camera import read_camera
 from .instances import Walk, place
-from .layers import name_missing_layers
 from .lights import read_lights
 from .materials import Materials
+from .unsupported import name_missing_layers
 from .world import read_world
 
 

@@ -15,10 +15,9 @@ from ...core.scene.arrays import ObjectArrays
 from ..host.notices import Notices
 from ..results import links as targets
 from ..results.preview import own_material
-from .layers import attributes_read
 from .mesh import LARGEST_COORDINATE, MeshArrays, read_mesh
-from .rays import name_rays
-from .viewport import name_viewport
+from .nodes import attributes_read
+from .unsupported import name_rays, name_viewport
 from .visibility import NO_ID, Visibility
 
 FACELESS = {"CAMERA", "LIGHT", "LIGHT_PROBE", "SPEAKER", "ARMATURE", "LATTICE"}

@@ -98,3 +98,10 @@ def _group_output(node: bpy.types.Node, output: bpy.types.NodeSocket) -> bpy.typ
     if end is None:
         return None
     return next((s for s in end.inputs if s.identifier == output.identifier), None)
+
+
+def attributes_read() -> frozenset[str]:
+    """Names of the attributes that any material of the file reads."""
+    trees = [m.node_tree for m in bpy.data.materials if m.node_tree is not None] + list(bpy.data.node_groups)
+    nodes = [n for tree in trees for n in tree.nodes if n.type in ("ATTRIBUTE", "VERTEX_COLOR")]
+    return frozenset(n.attribute_name if n.type == "ATTRIBUTE" else n.layer_name for n in nodes)

@@ -1,11 +1,24 @@
-"""Where the viewport evaluates an object in another way than a render does; Cycles bakes what a render evaluates."""
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a scene asks for and does not get, named in notices, so that nothing differs from Cycles without a word.
+
+Layers that materials read and objects lack; switches that let light depend on the kind of ray or on the receiver; and objects that
+the viewport evaluates in another way than a render does (Cycles bakes what a render evaluates).
+"""
 
 from __future__ import annotations
 
-import bpy
+from typing import Any
 
+import bpy
+import numpy as np
+
+from ...core.scene.arrays import Material, ObjectArrays
 from ..host.notices import Notices
 from .members import node_trees
+
+LAMP_RAYS = ("diffuse", "glossy", "transmission")
+MESH_RAYS = (*LAMP_RAYS, "shadow")
+REMEDY = "Turn it on in Ray Visibility, or leave it out of renders altogether, if Cycles shall do the same"
 
 # Modifiers with a level for the viewport and one for renders (measured: tests/blender/test_extract_viewport.py).
 LEVELS = {
@@ -15,6 +28,74 @@ LEVELS = {
     "OCEAN": ("viewport_resolution", "resolution"),
 }
 SIMPLIFIED = ("SUBSURF", "MULTIRES")  # those that Simplify limits
+
+
+# ---- layers
+
+
+def name_missing_layers(
+    objects: tuple[ObjectArrays, ...], object: np.ndarray, material: np.ndarray, materials: tuple[Material, ...], notices: Notices
+) -> None:
+    """A notice for every object whose material reads a UV layer or colour attribute that the object lacks.
+
+    `object` and `material` are (nt,) int32 per triangle. The value that is computed with is 0, as in Cycles.
+    """
+    asked = {i: _layers(m) for i, m in enumerate(materials)}
+    reading = np.array([bool(asked[i]) for i in range(len(materials))] or [False])
+    which = reading[material] if len(material) else np.zeros(0, bool)
+    pairs = np.unique(object[which].astype(np.int64) * max(len(materials), 1) + material[which])
+    for o, m in zip((pairs // max(len(materials), 1)).tolist(), (pairs % max(len(materials), 1)).tolist(), strict=True):
+        owner = objects[o]
+        for kind, name in asked[m]:
+            if kind == "image" and (name or owner.render_uv) not in owner.uvs:
+                layer = f'UV layer "{name}"' if name else "UV layer"
+                notices.add(owner.source, f'has no {layer} for the images of material "{materials[m].name}"', "Unwrap it")
+            elif kind == "attribute" and name not in owner.colors:
+                layer = f'attribute "{name}" of colours, numbers or vectors on points, corners or faces' if name else "colour attribute"
+                notices.add(owner.source, f'has no {layer} for material "{materials[m].name}"; it counts as black', "Add the attribute")
+
+
+def _layers(material: Material) -> set[tuple[str, str]]:
+    """(kind, name) of all sources of a material."""
+    return {(s.kind, s.name) for lobe in material.lobes for t in lobe.color.terms for s in t.sources}
+
+
+# ---- kinds of rays and light linking
+
+
+def name_rays(obj: bpy.types.Object, notices: Notices) -> None:
+    """Warnings for ray visibility and light linking of a lamp or of an object with faces (original)."""
+    lamp = obj.type == "LIGHT"
+    _name_off(obj.name, obj, "visible_", LAMP_RAYS if lamp else MESH_RAYS, notices)
+    if not lamp:  # Blender hides every new lamp from the camera, and so do we
+        _name_camera(obj.name, obj, "visible_camera", notices)
+    linking = getattr(obj, "light_linking", None)
+    if linking is not None and (linking.receiver_collection or linking.blocker_collection):
+        reason = "lights or shadows some objects only (light linking), which is not computed: it counts for all objects"
+        notices.add(obj.name, reason, "Clear its light linking and shadow linking, if Cycles shall do the same")
+
+
+def name_world_rays(world: bpy.types.World, name: str, notices: Notices) -> None:
+    """The same for a world that gives light. Its switches belong to Cycles, an add-on that may be turned off."""
+    switches = getattr(world, "cycles_visibility", None)
+    if switches is not None:
+        _name_off(name, switches, "", LAMP_RAYS, notices)
+        _name_camera(name, switches, "camera", notices)
+
+
+def _name_off(name: str, owner: Any, prefix: str, rays: tuple[str, ...], notices: Notices) -> None:
+    off = [ray for ray in rays if not getattr(owner, prefix + ray, True)]
+    if off:
+        reason = f"is turned off for {' and '.join(off)} rays in Cycles, which is not computed: it counts for all light"
+        notices.add(name, reason, REMEDY)
+
+
+def _name_camera(name: str, owner: Any, switch: str, notices: Notices) -> None:
+    if not getattr(owner, switch, True):
+        notices.add(name, "is turned off for camera rays in Cycles, but is seen in pictures here", REMEDY, "info")
+
+
+# ---- viewport and render
 
 
 def name_viewport(obj: bpy.types.Object, scene: bpy.types.Scene, notices: Notices) -> None:

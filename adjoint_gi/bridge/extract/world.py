@@ -11,8 +11,8 @@ from ..host.versions import uses_nodes
 from .color_math import NotPolynomial, mean
 from .colors import Colors
 from .nodes import is_linked
-from .rays import name_world_rays
 from .shaders import Shaders, surface
+from .unsupported import name_world_rays
 
 LARGEST_RADIANCE = 1e9
 
