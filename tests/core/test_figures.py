@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.comparison import figures
-from adjgi.adjoint_gi.core.comparison.canvas import _STROKES, Canvas, text_width
-from adjgi.adjoint_gi.core.comparison.figures import COLORS, LIGHT, UNKNOWN, Curve
+from adjgi.adjoint_gi.core.comparison.figures import _STROKES, COLORS, LIGHT, UNKNOWN, Canvas, Curve, text_width
 
 WHITE = (1.0, 1.0, 1.0)
 
