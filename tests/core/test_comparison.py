@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.base.errors import Notice, SceneError, SettingsError
+from adjgi.adjoint_gi.core.base.errors import AdjointError, Notice, SceneError, SettingsError
 from adjgi.adjoint_gi.core.base.settings import Settings, setting
 from adjgi.adjoint_gi.core.comparison import budget as comparison
-from adjgi.adjoint_gi.core.comparison import page
+from adjgi.adjoint_gi.core.comparison import effort, page
 from adjgi.adjoint_gi.core.comparison.budget import Budget, Meter, Plan, Reference, constant_reference, error_of, reason_not_to, winner
 from adjgi.adjoint_gi.core.comparison.run import Comparison
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
@@ -31,7 +31,7 @@ RAYS = 1000  # of a step
 
 @dataclass(frozen=True)
 class CountSettings(Settings):
-    samples: int = setting(40, label="Samples", help="Steps", min=1, max=10**6)
+    samples: int = setting(40, label="Samples", help="Steps", min=1, max=10**6, effort=True)
     bias: float = setting(0.0, label="Bias", help="Share by which it is wrong", min=-1.0, max=10.0)
     fails: bool = setting(False, label="Fails", help="Whether it refuses the scene")
 
@@ -317,6 +317,31 @@ def test_a_method_that_cannot_take_part_is_listed_and_the_others_go_on(methods, 
     assert "needs" in reason_not_to(Counting(), *place, CountSettings()).reason
     monkeypatch.setattr(Counting, "spec", replace(Counting.spec, receivers=("camera",)))
     assert "does not answer elements" in reason_not_to(Counting(), *place, CountSettings()).reason
+
+
+def test_memory_is_asked_again_with_the_samples_that_fit_the_budget(methods, place, monkeypatch):
+    """Of the methods and of the reference: what fits with the user's samples need not fit with more."""
+    monkeypatch.setattr(Counting, "memory", lambda self, world, receivers, settings: 10**18 if settings.samples > 40 else 10)
+    known = constant_reference((1.0,), place[1].count)
+    result = compare(
+        place, Plan(("counting", "exact"), Budget("time", 0.3), settings={"exact": CountSettings(samples=2)}, repeats=0), known
+    )
+    assert [e.method for e in result.entries] == ["exact"] and "needs" in result.refused[0].reason
+    with pytest.raises(AdjointError, match="Reference Counting: needs"):
+        compare(place, Plan(("exact",), Budget("time", 0.1), "counting", 0.6, {"exact": CountSettings(samples=2)}, repeats=0))
+
+
+def test_the_setting_that_a_budget_scales_is_marked(methods):
+    @dataclass(frozen=True)
+    class Renamed(Settings):
+        samples: int = setting(4, label="Samples", help="Not to be scaled", min=1)
+        darts: int = setting(4, label="Darts", help="To be scaled", min=1, effort=True)
+
+    class Throwing(Counting):
+        Settings = Renamed
+
+    assert effort.effort_field(Throwing()).name == "darts"
+    assert effort.effort_field(Exact()) is None  # its samples are counted, not drawn
 
 
 def test_a_method_that_crashes_is_an_error_and_the_others_go_on(methods, place, monkeypatch):

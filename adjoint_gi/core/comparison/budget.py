@@ -13,7 +13,6 @@ import dataclasses
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,7 +22,7 @@ from ..base.errors import AdjointError, Notice, SettingsError
 from ..base.resources import require_memory
 from ..base.settings import Settings
 from ..flux.agreement import EVERY_LENGTH
-from ..method.registry import Nature, Solver
+from ..method.registry import Solver
 from ..method.solution import Solution, Step
 from ..receivers.base import Receivers
 from ..scene.world import World
@@ -31,11 +30,6 @@ from ..scene.world import World
 KINDS = {"time": "s", "rays": "rays", "error": "relative RMSE"}
 SPACING = 1.35  # ratio of the times of two snapshots
 FIRST = 0.02  # seconds before which no second snapshot is made
-EFFORT = ("samples", "particles")  # settings that make a random method work longer; the budget ends them
-FINER = ("rays", "max_edge", "light_samples")  # settings that make a method that ends by itself more exact
-SPARE = 0.9  # share of a budget below which such a method has not used it
-MARGIN = 2.0  # so many times the samples that a trial run says fit the budget: it must be the budget that ends the run
-PILOT = 2.0  # most seconds spent to find how many samples fit a budget
 EVERYWHERE = 0.99  # share of receivers that must have got an answer
 STATES = {
     "finished": "finished by itself",
@@ -130,7 +124,7 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """What became of one method.
+    """The outcome of one method.
 
     state     one of STATES
     bias      relative difference of its mean to the reference's
@@ -268,91 +262,6 @@ class Meter:
         self._steps.close()
 
 
-def effort_of(solver: Solver) -> str:
-    """The setting that a budget stands in for, "" where a method ends by itself: only random samples go on improving a result."""
-    names = {f.name for f in dataclasses.fields(solver.Settings)}
-    return next((name for name in EFFORT if is_random(solver) and name in names), "")
-
-
-def is_random(solver: Solver) -> bool:
-    """Whether another seed gives another result that is as good."""
-    return Nature.NONDETERMINISTIC in solver.spec.natures
-
-
-@dataclass(frozen=True)
-class Effort:
-    """Settings that let the budget end a run. A method that solves something before its samples come in takes about `seconds` for that, and
-    `rays` with the first sample: before these its result is not what it promises. `endless`: whether samples are all that is added then."""
-
-    settings: Settings
-    endless: bool
-    seconds: float = 0.0
-    rays: int = 0
-
-
-def with_effort(solver: Solver, world: World, receivers: Receivers, settings: Settings, budget: Budget) -> Iterator[Effort | None]:
-    """Find settings with so many samples that the budget ends the run. Yields None after every step of a trial run, which is not counted,
-    and the effort last."""
-    name = effort_of(solver)
-    if not name:
-        yield Effort(settings, False)
-        return
-    find = _samples_that_fit if solver.spec.natures == (Nature.NONDETERMINISTIC,) else _after_first_pass
-    yield from find(name, solver, world, receivers, settings, budget)
-
-
-def _after_first_pass(
-    name: str, solver: Solver, world: World, receivers: Receivers, settings: Settings, budget: Budget
-) -> Iterator[Effort | None]:
-    """The same for methods that solve something first: a trial run with one sample says how long that takes. These draw every sample alike,
-    so that any number will do, and the highest possible lets the budget end the run."""
-    trial = Meter(solver, world, receivers, dataclasses.replace(settings, **{name: 1}), None)
-    with closing(trial):
-        while trial.seconds <= budget.seconds and trial.advance():
-            yield None
-        if not trial.ended:
-            # Not one sample within the whole budget: its own settings are as good as any, and its result is partial.
-            yield Effort(settings, False)
-            return
-        most = next(f for f in dataclasses.fields(settings) if f.name == name).metadata["max"]
-        yield Effort(dataclasses.replace(settings, **{name: most}), True, trial.seconds, int(trial.solution().rays))
-
-
-def _samples_that_fit(
-    name: str, solver: Solver, world: World, receivers: Receivers, settings: Settings, budget: Budget
-) -> Iterator[Effort | None]:
-    """The same for methods that only add samples: a short trial run says how fast they come. A number of samples that is much too high
-    would cost evenness (strata) and memory (elements by the number of particles), so the next power of two is taken."""
-    trial = Meter(solver, world, receivers, settings, None)
-    longest = min(PILOT, 0.15 * budget.seconds)
-    first = None
-    with closing(trial):
-        # What comes before the first sample, such as elements and receivers, says nothing about the speed of samples.
-        while trial.seconds < (longest if first is None else min(first[0] + longest, budget.seconds)) or first is None:
-            if trial.seconds > budget.seconds or not trial.advance():
-                break
-            first = first or ((trial.seconds, trial.step.fraction) if trial.step.fraction > 0 else None)
-            yield None
-        fraction = 1.0 if trial.ended else (trial.step.fraction if trial.step else 0.0)
-        rays = trial.solution().rays if trial.step is not None else 0
-    if fraction <= 0:
-        # Not one sample within the whole budget: its own settings are as good as any.
-        yield Effort(settings, True)
-        return
-    start, begun = first or (0.0, 0.0)
-    if fraction > begun and trial.seconds > start:
-        rate = (fraction - begun) / (trial.seconds - start)
-    else:
-        rate = max(fraction, 1e-6) / max(trial.seconds, 1e-3)
-    share = rate * budget.seconds
-    if budget.kind == "rays" and rays and fraction:
-        share = min(share, budget.value / (rays / fraction))
-    at = next(f for f in dataclasses.fields(settings) if f.name == name)
-    wanted = 2 ** math.ceil(math.log2(max(1.0, MARGIN * share * getattr(settings, name))))
-    top = at.metadata["max"]
-    yield Effort(dataclasses.replace(settings, **{name: int(min(wanted, top) if top is not None else wanted)}), True)
-
-
 def reason_not_to(solver: Solver, world: World, receivers: Receivers, settings: Settings) -> Notice | None:
     """Why a method cannot take part, None when it can."""
     spec = solver.spec
@@ -375,7 +284,7 @@ def reason_not_to(solver: Solver, world: World, receivers: Receivers, settings: 
 @dataclass(frozen=True)
 class Plan:
     """What a comparison does. `settings` of methods that are not named are their defaults. `reference` names a method, or is "" where
-    the reference is given or not wanted. `repeats` runs with other seeds, each with a `1 / repeats` share of the budget, tell the noise of
+    the reference is given or not wanted. `repeats` runs with other seeds, each with a `1 / repeats` share of the budget, give the noise of
     random methods."""
 
     methods: tuple[str, ...]
@@ -408,18 +317,8 @@ def lengths_counted(settings: Settings, measure: str) -> tuple[int, int]:
     return (max(settings.min_length, int(measure == "irradiance")), min(settings.max_length, EVERY_LENGTH[1]))
 
 
-def unused_budget(label: str, settings: Settings, seconds: float, budget: Budget) -> Notice | None:
-    """What to say of a method that has ended by itself, None where it has used the time."""
-    if budget.kind != "time" or seconds >= SPARE * budget.seconds:
-        return None
-    names = [f"{name} (now {getattr(settings, name):,})" for name in FINER if hasattr(settings, name)]
-    reason = f"ended by itself after {seconds:.2g} of {budget.seconds:g} s: more time changes nothing at its settings"
-    remedy = f"To let it use the time, choose finer settings: {', '.join(names)}" if names else "Read its error as one at less time"
-    return Notice(label, reason, remedy, "info")
-
-
 def known_above_zero(reference: Reference) -> Reference:
-    """`reference`, or SettingsError where no relative error can be told from it."""
+    """`reference`, or SettingsError where no relative error can be computed from it."""
     if not reference.valid.any():
         raise SettingsError("reference", f"{reference.label} is known at no receiver", "Choose another reference, or none")
     if not reference.mean > 0:
@@ -429,7 +328,7 @@ def known_above_zero(reference: Reference) -> Reference:
 
 
 def winner(entries: Sequence[Entry], budget: Budget) -> Entry | None:
-    """Least error at equal time or rays; least time among those that reached an equal error. None where nobody did, or nothing is known."""
+    """Least error at equal time or rays; least time among those that reached an equal error. None where none did, or nothing is known."""
     if budget.kind == "error":
         reached = [e for e in entries if e.state == "reached"]
         return min(reached, key=lambda e: e.seconds, default=None)

@@ -27,24 +27,21 @@ from ..receivers.base import Receivers
 from ..scene.world import World
 from .budget import (
     Budget,
-    Effort,
     Entry,
     Meter,
     Plan,
     Reference,
     error_of,
     is_complete,
-    is_random,
     known_above_zero,
     lengths_counted,
     quantity,
     reason_not_to,
-    unused_budget,
     winner,
-    with_effort,
 )
+from .effort import Effort, is_random, unused_budget, with_effort
 
-HALVES = 2  # independent runs of a random reference, which tell its noise
+HALVES = 2  # independent runs of a random reference, whose difference gives its noise
 SHOT = 0.25  # share of a budget's time that the flux by Eq. 4 may take, but no more than SHOT_MOST seconds
 SHOT_MOST = 10.0
 LEAST = 16  # batches of particles
@@ -69,7 +66,7 @@ class Result:
 
     @property
     def winner(self) -> Entry | None:
-        """See `comparison.winner`; nobody while some methods have not run, or not to their ends."""
+        """See `budget.winner`; None while some methods have not run, or not to their ends."""
         return None if self.partial else winner(self.entries, self.budget)
 
     def gathered(self, entry: Entry) -> float:
@@ -86,7 +83,7 @@ class Result:
 class Comparison:
     """In place of a solver. `reference` is one that is known already; else `plan.reference` names the method that makes it.
 
-    Raises SettingsError for a reference of which no relative error can be told."""
+    Raises SettingsError for a reference from which no relative error can be computed."""
 
     spec = SimpleNamespace(label="Comparison")
 
@@ -99,10 +96,10 @@ class Comparison:
 
     def solve(self, world: World, receivers: Receivers, plan: Plan, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every step of every method. `rng` is not used: every run has the seed of its settings."""
-        yield from _Run(world, receivers, plan, self.reference).steps()
+        yield from _Stages(world, receivers, plan, self.reference).steps()
 
 
-class _Run:
+class _Stages:
     """The state of one comparison."""
 
     def __init__(self, world: World, receivers: Receivers, plan: Plan, reference: Reference | None) -> None:
@@ -143,15 +140,14 @@ class _Run:
         """The reference method, in independent halves where it is random."""
         solver = method(self.plan.reference)
         settings = self._settings(solver)
-        problem = reason_not_to(solver, self.world, self.receivers, settings)
-        if problem is not None:
-            raise AdjointError(f"Reference {problem.object}", problem.reason, problem.remedy or "Choose another reference")
+        self._require_reference(solver, settings)
         halves = HALVES if is_random(solver) else 1
         seconds = self.plan.reference_seconds / halves
         budget = Budget("time", seconds, seconds)
         for effort in with_effort(solver, self.world, self.receivers, settings, budget):
             if effort is None:
                 yield self._step(0.0, "Reference: finding how many samples fit its time")
+        self._require_reference(solver, effort.settings)  # more samples may need more memory
         found: list[Solution] = []
         for half in range(halves):
             # Seeds far from those of the runs, so that nothing is measured against itself.
@@ -172,6 +168,12 @@ class _Run:
         label = f"{solver.spec.label}, {total:.3g} s"
         self.reference = known_above_zero(Reference(label, values, valid, noise, total, tuple(notices)))
         self.reference_lengths = self._lengths(solver)
+
+    def _require_reference(self, solver: Solver, settings: Settings) -> None:
+        """Raise AdjointError where the reference's method cannot run with these settings, for want of memory among others."""
+        problem = reason_not_to(solver, self.world, self.receivers, settings)
+        if problem is not None:
+            raise AdjointError(f"Reference {problem.object}", problem.reason, problem.remedy or "Choose another reference")
 
     def _shoot(self) -> Iterator[Step]:
         """Flux by Eq. 4: particles, for a share of the time."""
