@@ -9,36 +9,8 @@ from ..adjoint_gi.bridge.comparison import records as compare_records
 from ..adjoint_gi.bridge.comparison.job import COMPARISONS
 from ..adjoint_gi.bridge.host.background import busy, elsewhere
 from . import text
-from .draw import field, notice
-from .view3d import Tab
-
-
-class ADJOINTGI_PT_compare(Tab, bpy.types.Panel):
-    """Methods side by side within one budget"""
-
-    bl_label = "Compare"
-    bl_parent_id = "ADJOINTGI_PT_main"
-    bl_options = {"DEFAULT_CLOSED"}
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Choice and buttons."""
-        choice(self.layout, context)
-        run(self.layout, context)
-
-
-class ADJOINTGI_PT_compare_result(Tab, bpy.types.Panel):
-    """The last comparison"""
-
-    bl_label = "Comparison"
-    bl_parent_id = "ADJOINTGI_PT_compare"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return bool(context.scene.adjoint_gi_compare.result.headline)
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Table, agreement, pictures."""
-        result(self.layout, context)
+from .base import Tab
+from .draw import boxed, field, running
 
 
 def choice(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -73,25 +45,13 @@ def run(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """The button, or how far it is."""
     job = COMPARISONS.job
     if job is not None and job.active:
-        driver = job.driver
-        left = f", {text.duration(driver.seconds_left)} left" if driver.seconds_left is not None else ""
-        layout.progress(factor=driver.fraction, text=f"{100 * driver.fraction:.0f} %{left}")
-        other = elsewhere(job.scene, context.scene)
-        if other:
-            text.label(layout, context, f"Comparing in scene {other}", "SCENE_DATA")
-        text.label(layout, context, driver.text)
-        row = layout.row()
-        row.scale_y = 1.4
-        row.enabled = job.state == "running"
-        row.operator("adjoint_gi.stop_comparing", text="Stop" if job.state == "running" else "Stopping...")
+        running(layout, context, job, "Comparing", [job.driver.text], "adjoint_gi.stop_comparing")
         return
     row = layout.row()
     row.scale_y = 1.4
     row.operator("adjoint_gi.compare")
-    if job is not None and job.notices and not elsewhere(job.scene, context.scene):
-        box = layout.box()
-        for item in job.notices:
-            notice(box, context, item)
+    if job is not None and not elsewhere(job.scene, context.scene):
+        boxed(layout, context, job.notices)
 
 
 def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -112,10 +72,7 @@ def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     for entry in record.pictures:
         row = layout.row()
         row.operator("adjoint_gi.show_comparison", text=entry.name.title(), icon="IMAGE_DATA").picture = entry.name
-    if record.notices:
-        box = layout.box()
-        for item in record.notices:
-            notice(box, context, item.notice())
+    boxed(layout, context, [item.notice() for item in record.notices])
     for path in record.files.splitlines()[:2]:
         text.label(layout, context, path, "FILE")
     layout.operator("adjoint_gi.clear_comparison")
@@ -138,6 +95,28 @@ def method(layout: bpy.types.UILayout, context: bpy.types.Context, row: bpy.type
     if row.has_balance:
         flux += f"; energy gap {text.percent(row.balance)}"
     text.label(column, context, flux, indent=1)
+
+
+class ADJOINTGI_PT_compare(Tab, bpy.types.Panel):
+    """Methods side by side within one budget"""
+
+    bl_label = "Compare"
+    bl_parent_id = "ADJOINTGI_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+    parts = (choice, run)
+
+
+class ADJOINTGI_PT_compare_result(Tab, bpy.types.Panel):
+    """The last comparison"""
+
+    bl_label = "Comparison"
+    bl_parent_id = "ADJOINTGI_PT_compare"
+    parts = (result,)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether methods were compared."""
+        return bool(context.scene.adjoint_gi_compare.result.headline)
 
 
 CLASSES = (ADJOINTGI_PT_compare, ADJOINTGI_PT_compare_result)

@@ -8,6 +8,7 @@ import bpy
 from ..adjoint_gi.bridge.baking import check
 from ..adjoint_gi.bridge.baking.jobs import BAKES, BakeJob
 from ..adjoint_gi.bridge.host import background
+from ..adjoint_gi.bridge.host.background import Job
 from ..adjoint_gi.bridge.props.properties import MethodSpec, chosen, group_name, method_label, own_and_common, quadrant
 from ..adjoint_gi.bridge.props.records import Notice
 from . import text
@@ -152,19 +153,25 @@ def texels(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         _entry(column, context, context.scene.adjoint_gi, name)
 
 
+def film(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Transparency of a picture's background."""
+    layout.use_property_split = True
+    layout.use_property_decorate = False
+    layout.prop(context.scene.render, "film_transparent", text="Transparent")
+
+
 def bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What is missing, the buttons, and how far the bake is."""
     job = BAKES.job
     elsewhere = background.elsewhere(job.scene, context.scene) if job is not None else ""
     if job is not None and job.active:
-        _running(layout, context, job, elsewhere)
+        driver = job.driver
+        lines = [driver.text, f"{text.duration(driver.seconds)}, {text.count(driver.rays)} rays"]
+        running(layout, context, job, "Baking", lines, "adjoint_gi.stop")
         return
     found = check.cached(context.scene)
     notices = [n for n in found or () if n.severity != "info"]
-    if notices:
-        box = layout.box()
-        for item in notices:
-            notice(box, context, item)
+    boxed(layout, context, notices)
     row = layout.row(align=True)
     row.scale_y = 1.4
     start = row.row(align=True)
@@ -184,33 +191,39 @@ def bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     _ended(layout, context, job, notices)
 
 
-def _running(layout: bpy.types.UILayout, context: bpy.types.Context, job: BakeJob, elsewhere: str) -> None:
+def running(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job, doing: str, lines: list[str], stop: str) -> None:
+    """How far a job is, in `lines` below the bar, and the button of the operator `stop`; `doing` is what it does, for another scene."""
     driver = job.driver
     left = f", {text.duration(driver.seconds_left)} left" if driver.seconds_left is not None else ""
     layout.progress(factor=driver.fraction, text=f"{100 * driver.fraction:.0f} %{left}")
-    if elsewhere:
-        text.label(layout, context, f"Baking in scene {elsewhere}", "SCENE_DATA")
+    other = background.elsewhere(job.scene, context.scene)
+    if other:
+        text.label(layout, context, f"{doing} in scene {other}", "SCENE_DATA")
     column = layout.column(align=True)
-    text.label(column, context, driver.text)
-    text.label(column, context, f"{text.duration(driver.seconds)}, {text.count(driver.rays)} rays")
+    for line in lines:
+        text.label(column, context, line)
     row = layout.row()
     row.scale_y = 1.4
     row.enabled = job.state == "running"
-    row.operator("adjoint_gi.stop", text="Stop" if job.state == "running" else "Stopping...")
+    row.operator(stop, text="Stop" if job.state == "running" else "Stopping...")
 
 
-def _ended(layout: bpy.types.UILayout, context: bpy.types.Context, job: BakeJob, said: list[Notice]) -> None:
-    """What became of the bake; `said` is on the panel already."""
+def _ended(layout: bpy.types.UILayout, context: bpy.types.Context, job: BakeJob, shown: list[Notice]) -> None:
+    """The state in which the bake ended; the notices `shown` are on the panel already."""
     driver = job.driver
     if job.state == "stopped":
         layout.progress(factor=driver.fraction, text=f"Stopped at {100 * driver.fraction:.0f} %")
-    notices = [n for n in job.notices if n not in said]
+    boxed(layout, context, [n for n in job.notices if n not in shown])
+    if job.solution is not None:
+        layout.operator("adjoint_gi.write")
+
+
+def boxed(layout: bpy.types.UILayout, context: bpy.types.Context, notices: list[Notice]) -> None:
+    """All `notices` in one box; nothing where there are none."""
     if notices:
         box = layout.box()
         for item in notices:
             notice(box, context, item)
-    if job.solution is not None:
-        layout.operator("adjoint_gi.write")
 
 
 def notice(layout: bpy.types.UILayout, context: bpy.types.Context, item: Notice) -> None:
@@ -227,10 +240,10 @@ def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     layout.use_property_split = True
     if record.partial:
         text.label(layout, context, "Partial result: the bake was stopped before its end", "ERROR")
-    # What the Bake panel says of the last bake is not said again.
+    # What the Bake panel shows of the last bake is not shown again.
     job = BAKES.job
-    said = job.notices if job is not None and not job.active and not background.elsewhere(job.scene, context.scene) else []
-    paths = [path for path in record.files.splitlines() if not any(path in item.reason for item in said)]
+    shown = job.notices if job is not None and not job.active and not background.elsewhere(job.scene, context.scene) else []
+    paths = [path for path in record.files.splitlines() if not any(path in item.reason for item in shown)]
     if not record.applied and paths:
         text.label(layout, context, "Kept as a file, not written to the objects", "ERROR")
     rows: list[tuple[str, str]] = [
@@ -252,14 +265,11 @@ def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
             rows.append(("Not Yet Shot", text.watts(record.unshot)))
         rows.append(("Balance Gap", text.percent(record.gap)))
     elif record.emitted:
-        # A gathering method follows no light from its source, so what becomes of it is not known.
+        # A gathering method follows no light from its source, so where it goes is not known.
         rows.append(("Emitted", text.watts(record.emitted)))
     table(layout, context, rows)
-    warnings = [i.notice() for i in record.notices if i.severity != "info" and i.notice() not in said]
-    if warnings:
-        box = layout.box()
-        for item in warnings:
-            notice(box, context, item)
+    warnings = [i.notice() for i in record.notices if i.severity != "info" and i.notice() not in shown]
+    boxed(layout, context, warnings)
     for path in paths:
         text.label(layout, context, path, "FILE_IMAGE")
     if record.target != "render":

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import bpy
 
 from ..adjoint_gi.bridge.engine.render_engine import ENGINE
-from ..adjoint_gi.bridge.props.properties import chosen
 from . import draw
+from .base import Properties, has_method
 
 # Stock panels for settings that this engine does not read.
 EXCLUDED = {
@@ -32,43 +32,24 @@ EXCLUDED = {
 BORROWED = {"DATA_PT_EEVEE_light", "EEVEE_MATERIAL_PT_context_material", "EEVEE_MATERIAL_PT_surface", "EEVEE_WORLD_PT_surface"}
 
 
-class Properties:
-    """Where these panels stand."""
-
-    bl_space_type = "PROPERTIES"
-    bl_region_type = "WINDOW"
-    bl_context = "render"
-    COMPAT_ENGINES = {ENGINE}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return context.engine in cls.COMPAT_ENGINES
-
-
 class ADJOINTGI_PT_render_method(Properties, bpy.types.Panel):
     """Choice of the method"""
 
     bl_label = "Method"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Strategy, nature, method."""
-        draw.choice(self.layout, context)
+    parts = (draw.choice,)
 
 
 class ADJOINTGI_PT_render_settings(Properties, bpy.types.Panel):
-    """Settings of the chosen method"""
+    """Settings of the chosen method: its own fields, then the common ones"""
 
     bl_label = "Settings"
     bl_parent_id = "ADJOINTGI_PT_render_method"
+    parts = (draw.settings, draw.common_settings)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return super().poll(context) and chosen(context.scene) is not None
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Its own fields, then the common ones."""
-        draw.settings(self.layout, context)
-        draw.common_settings(self.layout, context)
+        """Whether it is our engine and a method is chosen."""
+        return super().poll(context) and has_method(context)
 
 
 class ADJOINTGI_PT_render_film(Properties, bpy.types.Panel):
@@ -76,12 +57,7 @@ class ADJOINTGI_PT_render_film(Properties, bpy.types.Panel):
 
     bl_label = "Film"
     bl_options = {"DEFAULT_CLOSED"}
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Transparency."""
-        self.layout.use_property_split = True
-        self.layout.use_property_decorate = False
-        self.layout.prop(context.scene.render, "film_transparent", text="Transparent")
+    parts = (draw.film,)
 
 
 def stock_panels() -> Iterator[type[bpy.types.Panel]]:

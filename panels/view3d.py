@@ -5,26 +5,15 @@ from __future__ import annotations
 
 import bpy
 
-from ..adjoint_gi.bridge.props.properties import chosen
 from . import draw
-
-
-class Tab:
-    """Where these panels stand."""
-
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "Adjoint GI"
+from .base import Tab, has_method
 
 
 class ADJOINTGI_PT_main(Tab, bpy.types.Panel):
     """Choice of the method"""
 
     bl_label = "Adjoint GI"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Strategy, nature, method."""
-        draw.choice(self.layout, context)
+    parts = (draw.choice,)
 
 
 class ADJOINTGI_PT_bake(Tab, bpy.types.Panel):
@@ -33,10 +22,7 @@ class ADJOINTGI_PT_bake(Tab, bpy.types.Panel):
     bl_label = "Bake"
     bl_parent_id = "ADJOINTGI_PT_main"
     bl_options = {"HIDE_HEADER"}
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Check, buttons, progress."""
-        draw.bake(self.layout, context)
+    parts = (draw.bake,)
 
 
 class ADJOINTGI_PT_result(Tab, bpy.types.Panel):
@@ -44,14 +30,12 @@ class ADJOINTGI_PT_result(Tab, bpy.types.Panel):
 
     bl_label = "Result"
     bl_parent_id = "ADJOINTGI_PT_main"
+    parts = (draw.result,)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether something was baked."""
         return bool(context.scene.adjoint_gi.result.method)
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Numbers, warnings, files, buttons."""
-        draw.result(self.layout, context)
 
 
 class ADJOINTGI_PT_settings(Tab, bpy.types.Panel):
@@ -59,14 +43,12 @@ class ADJOINTGI_PT_settings(Tab, bpy.types.Panel):
 
     bl_label = "Settings"
     bl_parent_id = "ADJOINTGI_PT_main"
+    parts = (draw.settings,)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return chosen(context.scene) is not None
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Its own fields."""
-        draw.settings(self.layout, context)
+        """Whether a method is chosen."""
+        return has_method(context)
 
 
 class ADJOINTGI_PT_paths(Tab, bpy.types.Panel):
@@ -75,10 +57,7 @@ class ADJOINTGI_PT_paths(Tab, bpy.types.Panel):
     bl_label = "Paths and Seed"
     bl_parent_id = "ADJOINTGI_PT_settings"
     bl_options = {"DEFAULT_CLOSED"}
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """The common fields."""
-        draw.common_settings(self.layout, context)
+    parts = (draw.common_settings,)
 
 
 class ADJOINTGI_PT_output(Tab, bpy.types.Panel):
@@ -86,10 +65,7 @@ class ADJOINTGI_PT_output(Tab, bpy.types.Panel):
 
     bl_label = "Output"
     bl_parent_id = "ADJOINTGI_PT_main"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Target and what it needs."""
-        draw.output(self.layout, context)
+    parts = (draw.output,)
 
 
 class ADJOINTGI_PT_texels(Tab, bpy.types.Panel):
@@ -98,14 +74,12 @@ class ADJOINTGI_PT_texels(Tab, bpy.types.Panel):
     bl_label = "Texels"
     bl_parent_id = "ADJOINTGI_PT_output"
     bl_options = {"DEFAULT_CLOSED"}
+    parts = (draw.texels,)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether texels are baked."""
         return context.scene.adjoint_gi.target == "texture"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Margin and points."""
-        draw.texels(self.layout, context)
 
 
 CLASSES = (
