@@ -91,7 +91,11 @@ class Clears:
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Clear the record."""
-        self.clear(context.scene)
+        try:
+            self.clear(context.scene)
+        except AdjointError as error:
+            report(self, error.notice)
+            return {"CANCELLED"}
         self.runner.forget()
         return {"FINISHED"}
 

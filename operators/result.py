@@ -9,6 +9,7 @@ from ..adjoint_gi.bridge.baking.jobs import BAKES
 from ..adjoint_gi.bridge.props import records
 from ..adjoint_gi.bridge.props.records import AdjointError
 from ..adjoint_gi.bridge.results import show as results
+from ..adjoint_gi.bridge.results.remove import remove_results
 from .background import Clears, report
 
 
@@ -52,15 +53,26 @@ class ADJOINTGI_OT_restore(bpy.types.Operator):
 
 
 class ADJOINTGI_OT_clear_results(Clears, bpy.types.Operator):
-    """Put the materials back and forget the numbers of the last bake; baked images and attributes stay"""
+    """Put the materials back and forget the numbers of the last bake; baked images and attributes stay unless they are removed, too"""
 
     bl_idname = "adjoint_gi.clear_results"
     bl_label = "Clear Results"
     runner = BAKES
 
+    remove: bpy.props.BoolProperty(
+        name="Remove Baked Data",
+        description="Also remove the images, attributes, UV layers and objects that bakes have made in this scene; files stay",
+        default=False,
+        options={"SKIP_SAVE"},
+    )
+
     def clear(self, scene: bpy.types.Scene) -> None:
-        """Restore, then clear."""
+        """Restore, then remove what was asked for, then clear."""
         results.restore(scene)
+        if self.remove:
+            counts = remove_results(scene)
+            what = ", ".join(f"{n} {kind}{'s' if n != 1 else ''}" for kind, n in counts.items() if n)
+            self.report({"INFO"}, f"Removed {what or 'nothing: no bake has left anything in this scene'}")
         records.clear(scene.adjoint_gi.result)
 
 

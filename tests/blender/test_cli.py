@@ -292,7 +292,7 @@ def test_failed_write_is_exit_code_1_and_keeps_the_result(tmp_path, monkeypatch,
     def fail(*_, **__):
         raise error
 
-    monkeypatch.setattr("adjgi.adjoint_gi.bridge.baking.bake.write_exr", fail)
+    monkeypatch.setattr("adjgi.adjoint_gi.bridge.baking.textures.write_exr", fail)
     monkeypatch.setattr(kept, "folder", lambda: tmp_path)
     code, out, err = command("bake", *SMALL, "--output", tmp_path / "out")
     assert code == 1 and f"error: {error.notice}" in err and "wrote" not in out

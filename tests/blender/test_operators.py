@@ -11,7 +11,7 @@ from adjgi.adjoint_gi.bridge.baking import check, jobs
 from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
 from adjgi.adjoint_gi.bridge.host import background
 from adjgi.adjoint_gi.bridge.props import properties
-from adjgi.adjoint_gi.bridge.results import links as targets
+from adjgi.adjoint_gi.bridge.results import links
 from adjgi.adjoint_gi.core.method import registry
 from adjgi.tests.blender.fakes import fake_method, quick, square
 
@@ -87,6 +87,64 @@ def test_refusals_change_nothing(scene, break_it, words):
     assert state.result.method == ""
 
 
+def left_over(scene):
+    """Everything that bakes have put on the objects and into the file."""
+    layers = [(o.name, x.name) for o in scene.objects if o.type == "MESH" for x in (*o.data.uv_layers, *o.data.color_attributes)]
+    keys = [(o.name, k) for o in scene.objects if o.type == "MESH" for k in (*o.keys(), *o.data.keys())]
+    return (
+        sorted(layers),
+        sorted(keys),
+        sorted(i.name for i in bpy.data.images),
+        sorted(o.name for o in scene.objects),
+        len(bpy.data.meshes),
+    )
+
+
+def test_clear_results_removes_what_was_baked_where_that_is_asked_for(scene):
+    before, user = left_over(scene), materials(scene)
+    state = quick(scene, "progressive_radiosity")
+    for target, new_object in (("texture", False), ("attribute", False), ("attribute", True)):
+        state.target, state.new_object = target, new_object
+        assert bpy.ops.adjoint_gi.bake() == {"FINISHED"}
+    bpy.ops.adjoint_gi.show_result()
+    baked = left_over(scene)
+    assert bpy.ops.adjoint_gi.clear_results() == {"FINISHED"} and state.result.method == ""
+    assert left_over(scene)[2:] == baked[2:], "without Remove Baked Data it stays"
+    # An image that the user has given a use is kept.
+    image = links.link(bpy.data.objects["Floor"], "irradiance")["image"]
+    image.use_fake_user = False
+    user_of_image = bpy.data.textures.new("Mine", "IMAGE")
+    user_of_image.image = image
+    assert bpy.ops.adjoint_gi.clear_results(remove=True) == {"FINISHED"}
+    assert materials(scene) == user and image.name in bpy.data.images
+    bpy.data.textures.remove(user_of_image)
+    bpy.data.images.remove(image)
+    assert left_over(scene) == before
+    assert bpy.ops.adjoint_gi.clear_results(remove=True) == {"FINISHED"}
+
+
+def test_data_of_meshes_that_another_scene_shares_stays(scene):
+    quick(scene, "path_tracing").target = "texture"
+    assert bpy.ops.adjoint_gi.bake() == {"FINISHED"}
+    floor = bpy.data.objects["Floor"]
+    twin = bpy.data.objects.new("Twin", floor.data)
+    bpy.data.scenes.new("Attic").collection.objects.link(twin)
+    assert bpy.ops.adjoint_gi.clear_results(remove=True) == {"FINISHED"}
+    assert "Lightmap" in floor.data.uv_layers and "Lightmap" not in bpy.data.objects["Ceiling"].data.uv_layers
+    assert not bpy.data.images
+
+
+def test_nothing_is_removed_from_a_mesh_in_edit_mode(scene):
+    quick(scene, "path_tracing").target = "texture"
+    assert bpy.ops.adjoint_gi.bake() == {"FINISHED"}
+    bpy.context.view_layer.objects.active = bpy.data.objects["Floor"]
+    bpy.ops.object.mode_set(mode="EDIT")
+    baked = left_over(scene)
+    assert bpy.ops.adjoint_gi.clear_results(remove=True) == {"CANCELLED"}
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert left_over(scene) == baked and scene.adjoint_gi.result.method == "path_tracing"
+
+
 def test_check_says_what_is_missing(scene):
     quick(scene, "path_tracing").uv_layer = "Nowhere"
     assert bpy.ops.adjoint_gi.check() == {"FINISHED"}
@@ -104,11 +162,11 @@ def test_the_background_job_with_the_real_bake(registered, monkeypatch):
         state.settings_fake.steps, state.settings_fake.pause = 150, 0.02
         job = BAKES.start(bpy.context, properties.request_of(bpy.context.scene))
         end = time.monotonic() + 20
-        while targets.link(obj, "irradiance") is None and time.monotonic() < end:
+        while links.link(obj, "irradiance") is None and time.monotonic() < end:
             background.tick()
             time.sleep(0.05)
         assert job.active
-        image = targets.link(obj, "irradiance")["image"]
+        image = links.link(obj, "irradiance")["image"]
         assert '"partial": "yes"' in image["adjoint_gi_about"]
         BAKES.stop()
         assert job.state == "stopped" and state.result.partial
@@ -117,7 +175,7 @@ def test_the_background_job_with_the_real_bake(registered, monkeypatch):
             background.tick()
             time.sleep(0.05)
         assert (job.state, job.notices) == ("finished", [])
-        assert targets.link(obj, "irradiance")["image"] == image
+        assert links.link(obj, "irradiance")["image"] == image
         pixels = np.empty(8 * 8 * 4, np.float32)
         image.pixels.foreach_get(pixels)
         np.testing.assert_allclose(pixels.reshape(8, 8, 4)[4, 4, :3], [3, 6, 9])

@@ -187,7 +187,9 @@ def remove_attributes(obj: bpy.types.Object) -> int:
             if attribute is not None:
                 mesh.attributes.remove(attribute)
                 removed += 1
-    del mesh[STORED]
+    for name in (STORED, targets.ABOUT):
+        if name in mesh:
+            del mesh[name]
     return removed
 
 

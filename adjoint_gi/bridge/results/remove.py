@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Removing what bakes have left in a scene: images, attributes, UV layers and objects made of elements. Files stay."""
+
+from __future__ import annotations
+
+import bpy
+
+from . import links
+from .attribute import STORED, remove_attributes, remove_result_object, result_object
+from .image import remove_images
+from .lightmap_uv import STORED as STORED_UV
+from .lightmap_uv import remove_lightmap_uv
+
+
+def remove_results(scene: bpy.types.Scene) -> dict[str, int]:
+    """Remove all results on the mesh objects of `scene`; returns how many of each kind went.
+
+    What another scene's objects use stays: images, and the attributes and UV layers of shared meshes. Raises TargetError for a mesh in
+    edit mode; then nothing has changed. Materials must be the user's own: restore them first.
+    """
+    objects = [o for o in scene.objects if o.type == "MESH" and links.linked(o, False) is None and not links.is_result(o)]
+    own = {o.session_uid for o in objects}
+    changed = [o for o in objects if _has_layers(o) and {other.session_uid for other in links.sharing(o)} <= own]
+    for obj in changed:
+        links.check_mesh(obj)
+    made = sum(result_object(o) is not None and remove_result_object(o) for o in objects)
+    images = remove_images(objects)
+    for obj in objects:
+        links.forget(obj)
+    return {
+        "object": made,
+        "image": images,
+        "attribute": sum(remove_attributes(o) for o in changed),
+        "UV layer": sum(remove_lightmap_uv(o) for o in changed),
+    }
+
+
+def _has_layers(obj: bpy.types.Object) -> bool:
+    """Whether a bake has put an attribute or a UV layer on the mesh, which may be changed."""
+    return (obj.data.get(STORED) is not None or obj.data.get(STORED_UV) is not None) and links.linked(obj, True) is None
