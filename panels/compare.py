@@ -55,7 +55,7 @@ def run(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Who wins, one box a method, what agrees, the pictures."""
+    """Which method is best, one box a method, what agrees, the pictures."""
     record = context.scene.adjoint_gi_compare.result
     if record.partial:
         text.label(layout, context, "Partial: it was stopped before its end", "ERROR")

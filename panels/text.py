@@ -93,7 +93,7 @@ def watts(flux: float) -> str:
 
 
 def percent(share: float) -> str:
-    """A share in percent, two digits; what is left of rounding errors is only said to be small."""
+    """A share in percent, two digits; what is left of rounding errors is only shown as small."""
     if 0 < share < 1e-6:
         return "under 0.0001 %"
     return f"{100 * share:.2g} %"

@@ -171,7 +171,7 @@ def cycles_irradiance(obj: bpy.types.Object, resolution: int, layer: str, sample
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class TexelComparison:
     """Two bakes of the same texels, each repeated with several seeds.
 
     ours, theirs  (h, w, 3) means over the seeds
@@ -226,14 +226,14 @@ def sidak(tests: int, alpha: float = 1e-3) -> float:
     return statistics.NormalDist().inv_cdf(0.5 + 0.5 * (1 - alpha) ** (1 / tests))
 
 
-def compare(ours: Sequence[np.ndarray], theirs: Sequence[np.ndarray], used: np.ndarray) -> Comparison:
+def compare(ours: Sequence[np.ndarray], theirs: Sequence[np.ndarray], used: np.ndarray) -> TexelComparison:
     """Compare runs (h, w, 3) with different seeds of two renderers on the texels `used` (h, w)."""
     parts = []
     for runs in (np.stack(ours), np.stack(theirs)):
         own = runs.var(axis=0, ddof=1) / len(runs)
         parts.append((runs.mean(axis=0), own, _neighbours(own, used)))
     (a, va, sa), (b, vb, sb) = parts
-    return Comparison(a, b, np.sqrt(sa + sb), np.sqrt(np.maximum(va, sa) + np.maximum(vb, sb)), used)
+    return TexelComparison(a, b, np.sqrt(sa + sb), np.sqrt(np.maximum(va, sa) + np.maximum(vb, sb)), used)
 
 
 def _neighbours(values: np.ndarray, used: np.ndarray) -> np.ndarray:

@@ -77,7 +77,7 @@ def parse(command: str):
     from adjgi.adjoint_gi.bridge.comparison import arguments as compare_arguments
 
     if options.command in ("bake", "check"):
-        cli_arguments.request_of(options).require()
+        assert not cli_arguments.request_of(options).problems()
     elif options.command == "compare":
         compare_arguments.request_of(options)
     elif options.command == "demo":

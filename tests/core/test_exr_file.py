@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.images import exr
+from adjgi.tests.exr_layers import read_exr
 
 if not exr.wheel_is_safe():
     pytest.skip("this program has an OpenEXR of its own, next to which the wheel crashes", allow_module_level=True)
@@ -78,7 +79,7 @@ def test_pictures_are_the_same_with_and_without_the_wheel(tmp_path, monkeypatch)
         monkeypatch.setattr(exr, "wheel_is_safe", lambda writer=writer: writer)
         path = exr.write_exr(tmp_path / f"{writer}.exr", image, {"depth": layer}, folder=tmp_path, metadata={"method": "x"})
         monkeypatch.setattr(exr, "wheel_is_safe", lambda writer=writer: not writer)
-        layers, metadata = exr.read_exr(path)
+        layers, metadata = read_exr(path)
         assert exr.is_ours(path) and metadata == {"method": "x"}
         np.testing.assert_array_equal(layers[""], image)
         np.testing.assert_array_equal(layers["depth"][..., 0], layer)

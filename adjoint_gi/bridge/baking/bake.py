@@ -12,11 +12,10 @@ Everything here belongs on the main thread; only the driver's own thread compute
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
 
 import bpy
 
-from ...core.base.errors import AdjointError, Notice, TargetError
+from ...core.base.errors import AdjointError, Notice
 from ...core.method.driver import Driver
 from ...core.method.solution import Solution
 from ...core.scene.arrays import SceneArrays
@@ -60,7 +59,7 @@ class Bake:
         notices = ordered([*notices, *inspect(world, request), *taken])
         raise_first(notices)
         if request.output:
-            files.output_folder(request.output)  # only writing there tells whether it can be done
+            files.output_folder(request.output)  # only writing there shows whether it can be done
 
         # Step 2: UV layers that are missing are made; then the scene has to be read again.
         kind = WRITERS[request.target]
@@ -100,13 +99,3 @@ class Bake:
     def _extract(self, context: bpy.types.Context) -> SceneArrays:
         depsgraph = context.evaluated_depsgraph_get()
         return extract(depsgraph, context.scene, picture_size(context.scene, self.request))
-
-
-def run(context: bpy.types.Context, request: BakeRequest, on_step: Callable[[Driver], None] | None = None) -> tuple[Bake, list[Notice]]:
-    """Bake in the foreground and write; returns the bake and its notices. Raises `AdjointError` as `Bake` and `write` do."""
-    bake = Bake(context, request)
-    solution = bake.driver.run(on_step)
-    if solution is None:
-        raise TargetError("Bake", "was stopped before the first result", "Let it run longer")
-    bake.write(solution)
-    return bake, bake.notices

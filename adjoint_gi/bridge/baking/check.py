@@ -53,7 +53,7 @@ def _check(context: bpy.types.Context, request: BakeRequest | Notice, full: bool
         return tuple(preflight(context, request) if full else look(context, request))
     except AdjointError as error:
         return (error.notice,)
-    except Exception as error:  # from a timer nobody would see it, and the panel would look as if nothing were wrong
+    except Exception as error:  # an error of a timer is not shown, and the panel would look as if nothing were wrong
         traceback.print_exc()
         return (Notice("Check", f"failed with {type(error).__name__}: {error}", "Report this with the scene", "error"),)
 
@@ -77,7 +77,7 @@ def refresh() -> None:
     _Cache.next_time = started + INTERVAL
     if (request, scene) == (_Cache.request, _Cache.scene) and not _Cache.dirty:
         return
-    # Reading the whole scene takes long in big scenes, so it is done less often than what can be told at once.
+    # Reading the whole scene takes long in big scenes, so it is done less often than what is known at once.
     full = started >= _Cache.full_time
     found = _check(context, request, full)
     if full:

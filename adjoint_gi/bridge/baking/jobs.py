@@ -117,7 +117,7 @@ class BakeJob(background.Job):
             background.push_undo("Adjoint GI Bake" if self.state == "finished" else "Adjoint GI Partial Bake")
 
     def fail(self, error: BaseException | None) -> None:
-        """The solver or a write raised: say so, and keep the last partial result if there is one."""
+        """The solver or a write raised: also keep the last partial result if there is one."""
         super().fail(error)
         self.solution, self._kept = self.driver.solution(), ""
 

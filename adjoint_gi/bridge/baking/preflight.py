@@ -31,7 +31,7 @@ from ..results.show import unhidden
 from . import outputs
 
 QUICK = 300_000  # triangles above which the panel's check does not extract the scene
-LEFT_OUT = ("and is left out", "so it is left out")  # how the extraction says that a whole object is not there
+LEFT_OUT = ("and is left out", "so it is left out")  # words of the extraction for a whole object that is not there
 BYTES_A_TRIANGLE = 900  # arrays, rows of the world and Embree's tree, measured on zdm2
 
 
@@ -61,7 +61,7 @@ def ordered(notices: list[Notice]) -> list[Notice]:
 
 
 def look(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
-    """What can be told without extracting the scene."""
+    """What is found without extracting the scene."""
     notices = request.problems()
     scene = context.scene
     context.view_layer.update()  # after a removal its list of objects has a hole until then
@@ -117,7 +117,7 @@ def _with_faces(context: bpy.types.Context) -> list[bpy.types.Object]:
 
 
 def inspect(world: World, request: BakeRequest) -> list[Notice]:
-    """What the extracted scene tells: its own notices, no light, open gaps and turned normals, memory."""
+    """What is found in the extracted scene: its own notices, no light, open gaps and turned normals, memory."""
     arrays = world.scene
     notices = list(arrays.warnings)
     receivers = receiving(arrays, request)
@@ -141,17 +141,17 @@ def inspect(world: World, request: BakeRequest) -> list[Notice]:
 def refusals(notices: list[Notice], missing: list[str]) -> list[Notice]:
     """`notices`, and an error for each object of `missing`, which was asked for and is not in the scene as it is rendered.
 
-    Where the extraction has said why it left an object out, that notice becomes the error.
+    Where the extraction has a reason for leaving an object out, that notice becomes the error.
     """
     left_out = [n for n in notices if any(words in n.reason for words in LEFT_OUT)]
-    told = {name: n for n in left_out for name in n.names or (n.object,) if name in missing}
+    explained = {name: n for n in left_out for name in n.names or (n.object,) if name in missing}
     out = []
     for n in notices:
         names = n.names or (n.object,)
-        out += [Notice(name, n.reason, n.remedy, n.severity) for name in names if told.get(name) is not n]
+        out += [Notice(name, n.reason, n.remedy, n.severity) for name in names if explained.get(name) is not n]
     for name in missing:
-        if name in told:
-            out.append(Notice(name, told[name].reason, told[name].remedy or "Give it faces, or do not bake it", "error"))
+        if name in explained:
+            out.append(Notice(name, explained[name].reason, explained[name].remedy or "Give it faces, or do not bake it", "error"))
         else:
             reason = "is not in the scene as it is rendered: it is seen only as an instance, or has no faces with an area"
             out.append(Notice(name, reason, "Make its instances real, or give it faces", "error"))
@@ -316,10 +316,10 @@ def _output(request: BakeRequest) -> list[Notice]:
 def _memory_notice(label: str, needed: int, what: str = "") -> list[Notice]:
     """The estimate as an info, or as an error when so much is not free; `what` says what it is for."""
     free = available_memory()
-    said = f"about {size_text(needed)} of memory" + (f" for {what}" if what else "")
+    amount = f"about {size_text(needed)} of memory" + (f" for {what}" if what else "")
     if free is None:
-        return [Notice(label, f"takes {said}", "", "info")]
+        return [Notice(label, f"takes {amount}", "", "info")]
     if needed > SHARE * free:
         remedy = "Lower the resolution or the number of elements, or choose another method"
-        return [Notice(label, f"needs {said}, and {size_text(free)} are free", remedy, "error")]
-    return [Notice(label, f"takes {said}; {size_text(free)} are free", "", "info")]
+        return [Notice(label, f"needs {amount}, and {size_text(free)} are free", remedy, "error")]
+    return [Notice(label, f"takes {amount}; {size_text(free)} are free", "", "info")]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Remembers the objects a bake is for, without holding them, and tells later whether they are still the same."""
+"""Remembers the objects a bake is for, without holding them, and reports later whether they are still the same."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ class Writer(abc.ABC):
         """
 
     def metadata(self, solution: Solution) -> dict[str, str]:
-        """What a result says of itself."""
+        """What is stored with a result to describe it."""
         return {
             "method": solution.method,
             "quantity": solution.whole if self.request.target == "render" else self.request.quantity,

@@ -42,14 +42,14 @@ def bake(options: argparse.Namespace) -> int:
         if failure is not None:
             raise failure
         raise KeyboardInterrupt
-    told = len(made.notices)
+    known = len(made.notices)
     try:
         write(made, solution, options.save_blend)
     except AdjointError as error:
         say_notices([error.notice])
         say_notices([Notice("Result", f"is kept in {kept.save(solution)}", "Read it with numpy.load", "warning")])
         return FAILED
-    say_notices(made.notices[told:])
+    say_notices(made.notices[known:])
     if options.report:
         print(f"wrote {write_report(Path(options.report), of_bake(made))}")
     print(summary(made))

@@ -21,7 +21,7 @@ from .progress import Progress, say_notices, seconds_text
 
 
 def compare(options: argparse.Namespace) -> int:
-    """Compare, write, say who won; 0 only when everything was written and read back."""
+    """Compare, write, print the best method; 0 only when everything was written and read back."""
     use_threads(options.threads)
     request = request_of(options)
     open_scene(options)
@@ -61,7 +61,7 @@ def compare(options: argparse.Namespace) -> int:
 
 
 def table(result: Result) -> list[str]:
-    """The result in plain text: one line a method, who wins, who disagrees."""
+    """The result in plain text: one line a method, which is best, which disagree."""
     lines = [f"{'method':<26} {'error':>10} {'seconds':>9} {'rays':>14}  run"]
     for e in sorted(result.entries, key=lambda e: e.error if e.error is not None else float("inf")):
         state = STATES[e.state] + ("" if e.complete else ", partial result")

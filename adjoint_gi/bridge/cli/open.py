@@ -44,7 +44,7 @@ def require_scene() -> None:
     """Raise `TargetError` unless the open scene is one that was asked for.
 
     Blender goes on with the scene of its start after a file that it could not open, and when no file was named at all. There
-    `bpy.data.is_dirty` tells nothing: in background it is always set.
+    `bpy.data.is_dirty` is no help: in background it is always set.
     """
     if _unread:
         raise TargetError(_unread, "could not be opened, so another scene is open", "Name a .blend file that this Blender can read")
@@ -55,7 +55,7 @@ def require_scene() -> None:
 
 
 def leave_edit_mode() -> None:
-    """Leave edit mode on every object: a file may have been saved in it, and here is nobody who could leave it by hand."""
+    """Leave edit mode on every object: a file may have been saved in it, and here no user can leave it by hand."""
     layer = bpy.context.view_layer
     layer.update()  # after a removal the list of objects has a hole until then
     for obj in layer.objects:

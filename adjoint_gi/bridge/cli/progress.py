@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the command line says while it works: a bar on a terminal, plain lines elsewhere; all of it on standard error."""
+"""What the command line prints while it works: a bar on a terminal, plain lines elsewhere; all of it on standard error."""
 
 from __future__ import annotations
 

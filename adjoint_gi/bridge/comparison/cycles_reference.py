@@ -26,7 +26,7 @@ from ..host.versions import uses_nodes
 from ..results.image import read_pixels
 
 FEW = 0.25  # share of texels on one triangle below which those on one plane serve too
-HALVES = 2  # bakes with different seeds, whose difference tells the noise
+HALVES = 2  # bakes with different seeds, whose difference gives the noise
 # Nothing that changes the mean, and no more light paths than ours.
 PLAIN = {
     "device": "CPU",

@@ -70,13 +70,13 @@ class ADJOINTGI_PG_compare_picture(bpy.types.PropertyGroup):
 class ADJOINTGI_PG_compare_result(bpy.types.PropertyGroup):
     """The last comparison"""
 
-    headline: bpy.props.StringProperty(description="Who wins; empty when nothing was compared")
+    headline: bpy.props.StringProperty(description="Which method is best; empty when nothing was compared")
     reference: bpy.props.StringProperty()
     partial: bpy.props.BoolProperty()
     unit: bpy.props.StringProperty()
     rows: bpy.props.CollectionProperty(type=ADJOINTGI_PG_compare_row)
     pictures: bpy.props.CollectionProperty(type=ADJOINTGI_PG_compare_picture)
-    lines: bpy.props.StringProperty(description="What the agreement report says, one a line")
+    lines: bpy.props.StringProperty(description="Lines of the agreement report")
     notices: bpy.props.CollectionProperty(type=ADJOINTGI_PG_notice)
     files: bpy.props.StringProperty(description="Files written, one a line")
 
@@ -182,8 +182,8 @@ def store(record: ADJOINTGI_PG_compare_result, result: Result, notices: list[Not
         row.has_balance, row.balance = balance is not None, balance.gap if balance is not None else 0.0
         row.best = e is result.winner
     record.notices.clear()
-    said = [*result.refused, *notices, *(n for e in result.entries for n in e.notices)]
-    for notice in dict.fromkeys(said):
+    shown = [*result.refused, *notices, *(n for e in result.entries for n in e.notices)]
+    for notice in dict.fromkeys(shown):
         item = record.notices.add()
         item.object, item.reason, item.remedy, item.severity = notice.object, notice.reason, notice.remedy, notice.severity
 

@@ -11,7 +11,7 @@ from ..host.notices import Notices
 from ..host.versions import working_space_notice
 from ..results.show import unhidden
 from .camera import read_camera
-from .instances import Walk, place
+from .instances import InstanceWalk, place
 from .lights import read_lights
 from .materials import Materials
 from .unsupported import name_missing_layers
@@ -36,7 +36,7 @@ def _extract(depsgraph: bpy.types.Depsgraph, scene: bpy.types.Scene, resolution:
 
     # Step 1: copy meshes, materials and lamps while walking over the instances (temporary objects die after the walk).
     materials = Materials(depsgraph, notices)
-    walk = Walk(materials.index_of, notices)
+    walk = InstanceWalk(materials.index_of, notices)
     walk.run(depsgraph)
 
     # Step 2: bring every instance to world space.

@@ -12,7 +12,7 @@ HEADER = 65536  # bytes looked at
 
 
 def stored_size(image: bpy.types.Image) -> tuple[int, int] | None:
-    """(width, height) of a packed or stored PNG, JPEG, OpenEXR or BMP, or None when it cannot be told."""
+    """(width, height) of a packed or stored PNG, JPEG, OpenEXR or BMP, or None when it cannot be read."""
     return size_of_bytes(_first_bytes(image))
 
 
@@ -42,7 +42,7 @@ def _first_bytes(image: bpy.types.Image) -> bytes:
 
 
 def size_of_bytes(data: bytes) -> tuple[int, int] | None:
-    """(width, height) told by the header in `data`."""
+    """(width, height) by the header in `data`."""
     try:
         if data[:8] == b"\x89PNG\r\n\x1a\n":
             return struct.unpack(">II", data[16:24])

@@ -46,7 +46,7 @@ class LightInstance:
     matrix: np.ndarray  # (4, 4) float64
 
 
-class Walk:
+class InstanceWalk:
     """One pass over the instances of a depsgraph. `material_of` gives the index of a material, or of the default for None."""
 
     def __init__(self, material_of: Callable[[bpy.types.Material | None], int], notices: Notices) -> None:

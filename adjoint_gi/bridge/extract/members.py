@@ -46,7 +46,7 @@ class Members:
 
 
 def references(host: bpy.types.Object) -> References:
-    """What `host` (original) may make instances of, as far as its settings and node trees tell."""
+    """What `host` (original) may make instances of, as far as its settings and node trees show."""
     out = References()
     if host.instance_type == "COLLECTION" and host.instance_collection is not None:
         out.collections.append(host.instance_collection)

@@ -1,7 +1,7 @@
 """Which objects count: what a render shows, whatever mode the depsgraph was evaluated for.
 
 A depsgraph of a render lists just that. In one of the viewport, an object counts when it is not hidden in render, by itself, by all
-of its collections, or because it makes instances and is told not to show itself. An instance counts when its instancer is not
+of its collections, or because it makes instances and is set not to show itself. An instance counts when its instancer is not
 hidden so and, where it stands for a member of a collection, the member is not hidden there. Geometry nodes and particles that name an
 object show it even if it is hidden. Children that are instanced on the vertices or faces of their parent count as instances only.
 All this was compared with what Blender lists for a render (measured on 4.2, 5.0 and 5.2; tests/blender/test_extract_visibility.py).
@@ -105,7 +105,7 @@ class Visibility:
             answers.add(True)
         if len(answers) == 1:
             return True if answers.pop() else self._left_out(original)
-        reason = f'is hidden in render, and whether its instances on "{host.name}" are cannot be told here; they are kept'
+        reason = f'is hidden in render, and whether its instances on "{host.name}" are is not known here; they are kept'
         self._notices.add(original.name, reason, "Enable it and its collections in renders, or take it out of what is instanced")
         return True
 
@@ -139,14 +139,14 @@ class Visibility:
         return original.hide_render or original in self._by_collections
 
     def _is_silent(self, original: bpy.types.Object) -> bool:
-        """Whether it makes instances, or has particles, and is told not to show itself."""
+        """Whether it makes instances, or has particles, and is set not to show itself."""
         if original.show_instancer_for_render:
             return False
         return original.is_instancer or len(original.particle_systems) > 0 or original in self._quiet
 
 
 def _quiet_hosts(depsgraph: bpy.types.Depsgraph) -> set[bpy.types.Object]:
-    """Objects that are told not to show themselves in renders and have instances; for geometry nodes nothing else says that they have."""
+    """Objects that are set not to show themselves in renders and have instances; for geometry nodes nothing else shows that they have."""
     if all(o.show_instancer_for_render for o in depsgraph.view_layer.objects):
         return set()
     makers = (i.parent.original for i in depsgraph.object_instances if i.is_instance and i.parent is not None)

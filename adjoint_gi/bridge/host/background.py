@@ -87,7 +87,7 @@ class Job(abc.ABC):
         self.state = "cancelled"
 
     def fail(self, error: BaseException | None) -> None:
-        """The solver or a write raised: say so."""
+        """The solver or a write raised: keep the error as a notice."""
         self.state = "failed"
         notice = error.notice if isinstance(error, AdjointError) else Notice("", f"{type(error).__name__}: {error}", "", "error")
         self.notices = [notice]

@@ -31,8 +31,8 @@ def safe_name(name: str) -> str:
 def output_folder(text: str, create: bool = True) -> Path:
     """The absolute folder that `text` names, "//" meaning beside the .blend file.
 
-    With `create` it is made, and a file without a name is written into it; otherwise nothing is changed, and what can be told from
-    permissions is looked at. Raises TargetError for an empty or relative path or an unsaved file, WriteError when the folder cannot be
+    With `create` it is made, and a file without a name is written into it; otherwise nothing is changed, and permissions are
+    looked at. Raises TargetError for an empty or relative path or an unsaved file, WriteError when the folder cannot be
     made or written to.
     """
     if not text.strip():

@@ -1,4 +1,4 @@
-"""Collecting what `extract` has to tell the user: one sentence per reason, with the names it is about."""
+"""Collecting notices for the user: one sentence per reason, with the names it is about."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ class ADJOINTGI_AP_preferences(bpy.types.AddonPreferences):
 
 
 def apply_threads() -> None:
-    """Tell the core how many threads to use: the user's choice, else what the environment said when Blender started."""
+    """Set how many threads the core uses: the user's choice, else that of the environment when Blender started."""
     entry = bpy.context.preferences.addons.get(base_package)
     wanted = entry.preferences.threads if entry and entry.preferences else 0
     text = str(wanted) if wanted else _ENVIRONMENT

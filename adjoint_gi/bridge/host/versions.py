@@ -10,7 +10,7 @@ from .notices import Notices
 
 WORKING_SPACE = "Linear Rec.709"
 
-# Options of a property that holds a folder, which may start with "//". Blender 5.0 and later want that said; 4.2 knows no such option.
+# Options of a property that holds a folder, which may start with "//". Blender 5.0 and later need that stated; 4.2 knows no such option.
 FOLDER = {"ANIMATABLE"}
 if "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties:
     FOLDER.add("PATH_SUPPORTS_BLEND_RELATIVE")

@@ -64,9 +64,3 @@ def values(group: bpy.types.PropertyGroup, settings: type[Settings]) -> Settings
         value = getattr(group, f.name)
         out[f.name] = float(str(np.float32(value))) if field_type(f) is float else value
     return settings(**out)
-
-
-def assign(group: bpy.types.PropertyGroup, settings: Settings) -> None:
-    """Set the properties of `group` to the values of `settings`."""
-    for f in dataclasses.fields(settings):
-        setattr(group, f.name, getattr(settings, f.name))

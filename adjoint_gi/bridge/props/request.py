@@ -93,10 +93,6 @@ class BakeRequest:
             out.append(_error("attribute", "has no name", "Give a name, such as AdjointGI"))
         return out
 
-    def require(self) -> None:
-        """Raise `AdjointError` for the first of `problems()`."""
-        raise_first(self.problems())
-
 
 def fitting_quantity(solver: Solver, quantity: str) -> str:
     """`quantity`, or potential where a method that answers only that is asked for light."""

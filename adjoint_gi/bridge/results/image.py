@@ -30,7 +30,7 @@ def write_image(
 ) -> bpy.types.Image:
     """Put `pixels` (h, w, 3) float32, row 0 at the bottom, with `coverage` (h, w) as alpha into the image of `objects`.
 
-    `key` tells the results of one object apart (the quantity; an instance adds its own number). An image that these objects already
+    `key` distinguishes the results of one object (the quantity; an instance adds its own number). An image that these objects already
     have for `key` is updated, whatever it is called now; otherwise a new one is made. It holds plain numbers (Non-Color, channel
     packed), so every value is stored and used exactly as it is. Without `file` it is packed into the .blend; with `file` it is
     written there as OpenEXR inside `folder`. `uv_layer` and `placement` (by object name) are stored with the link for the preview.

@@ -14,7 +14,7 @@ import bpy
 from ...core.base.errors import TargetError
 
 RESULTS = "adjoint_gi_results"
-ABOUT = "adjoint_gi_about"  # custom property of images and meshes that says what a result is
+ABOUT = "adjoint_gi_about"  # custom property of images and meshes that describes the result
 MADE = "adjoint_gi_made"  # custom property of the objects that a bake has made to hold its result
 
 
@@ -77,7 +77,7 @@ def link(obj: bpy.types.Object, key: str) -> Any | None:
     entry = group[key]
     if entry.get("owner") == obj.name:
         return entry
-    # Renamed: nobody else has this datablock, so it is still ours. Copied: the original has it.
+    # Renamed: no other object has this datablock, so it is still ours. Copied: the original has it.
     made = _datablocks(obj, key)
     shared = any(made & _datablocks(other, key) for other in bpy.data.objects if other != obj)
     return None if shared else entry

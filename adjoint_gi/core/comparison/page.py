@@ -63,7 +63,7 @@ def gap_of(result: Result, entry: Entry) -> float | None:
 
 
 def best_text(result: Result) -> str:
-    """Who wins, in one sentence."""
+    """Which method is best, in one sentence."""
     best = result.winner
     if result.partial:
         return "There is no winner, as not all methods have run to their ends."
@@ -96,11 +96,11 @@ def page(
     parts += ["<h2>Results</h2>", _results(result)]
     if result.refused:
         parts += ["<h2>Not compared</h2>", _list(str(n) for n in result.refused)]
-    said = [str(n) for e in result.entries for n in e.notices] + [str(n) for n in notices]
+    notes = [str(n) for e in result.entries for n in e.notices] + [str(n) for n in notices]
     if result.reference is not None:
-        said += [f"Reference: {n}" for n in result.reference.notices]
-    if said:
-        parts += ["<h2>To be known</h2>", _list(dict.fromkeys(said))]
+        notes += [f"Reference: {n}" for n in result.reference.notices]
+    if notes:
+        parts += ["<h2>Notes</h2>", _list(dict.fromkeys(notes))]
     if result.agreement is not None:
         parts += ["<h2>Agreement</h2>", _agreement(result.agreement)]
     for name, picture in pictures.items():
@@ -145,8 +145,8 @@ def _results(result: Result) -> str:
 
 def _agreement(found: Agreement) -> str:
     styles = {"Agree": "good", "Differs": "known", "Not compared": "known"}
-    said = [line for line in found.lines if not line.startswith(LOUD)]  # these stand at the top of the page
-    lines = [f'<p class="{styles[next(s for s in styles if line.startswith(s))]}">{escape(line)}</p>' for line in said]
+    others = [line for line in found.lines if not line.startswith(LOUD)]  # these stand at the top of the page
+    lines = [f'<p class="{styles[next(s for s in styles if line.startswith(s))]}">{escape(line)}</p>' for line in others]
     methods = found.methods
     shot = found.shot
     head = ["Object", f"Eq. 4, {found.groups.unit}" if shot is not None else "", *(escape(m.label) for m in methods)]

@@ -66,23 +66,6 @@ def write_exr(
     return replace_file(path, folder, write=lambda p: write_channels(p, channels, strings), verify=verify, ours=is_ours)
 
 
-def read_exr(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Layers by name ("" is the picture) as (h, w, c) float32, row 0 at the bottom, and our metadata. Raises WriteError if unreadable."""
-    try:
-        channels, header = read_channels(Path(path))
-    except (RuntimeError, OSError) as error:
-        raise WriteError(str(path), f"cannot be read as OpenEXR ({error})", "Bake it again") from error
-    layers: dict[str, dict[str, np.ndarray]] = {}
-    for name, values in channels.items():
-        layer, _, letter = name.rpartition(".")
-        layers.setdefault(layer, {})[letter] = values
-    out = {}
-    for layer, parts in layers.items():
-        letters = next((text for text in LETTERS.values() if set(text) == set(parts)), "".join(sorted(parts)))
-        out[layer] = np.ascontiguousarray(np.stack([parts[x] for x in letters], axis=-1)[::-1])
-    return out, {k.removeprefix("adjoint_gi."): v for k, v in header.items() if k.startswith("adjoint_gi.")}
-
-
 def is_ours(path: Path) -> bool:
     """Whether this is an OpenEXR file that Adjoint GI wrote."""
     try:

@@ -107,11 +107,3 @@ def read_surfaces(world: World, receivers: Receivers, out: dict[str, np.ndarray]
     out["weight"] = (solid / np.maximum(sites, 1)).astype(np.float32)
     if has_depth:
         out["depth"] = np.where(solid > 0, depth / surface, np.inf).astype(np.float32)
-
-
-def aovs(world: World, receivers: Receivers) -> dict[str, np.ndarray]:
-    """What `read_surfaces` fills in, in one call."""
-    out: dict[str, np.ndarray] = {}
-    for _ in read_surfaces(world, receivers, out):
-        pass
-    return out

@@ -19,11 +19,6 @@ class Shading:
         self._emission = ColorField([m.total("emission") for m in scene.materials], scene)
 
     @property
-    def textured(self) -> bool:
-        """Whether any colour varies inside a triangle."""
-        return bool(self._albedo.varying or self._emission.varying)
-
-    @property
     def albedo_varies(self) -> bool:
         """Whether the reflectance varies inside a triangle."""
         return bool(self._albedo.varying)
