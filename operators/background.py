@@ -15,7 +15,24 @@ def report(operator: bpy.types.Operator, notice: Notice) -> None:
     operator.report({"WARNING" if kind == "ERROR" and bpy.app.background else kind}, str(notice))
 
 
-class Starts:
+class Guarded:
+    """Can be pressed unless `refusal` gives a reason why not, which is shown with the greyed button."""
+
+    @classmethod
+    def refusal(cls, context: bpy.types.Context) -> str:
+        """Why it cannot be pressed now; empty when it can."""
+        return ""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Asked by Blender whenever it draws the button, and before it is pressed."""
+        reason = cls.refusal(context)
+        if reason:
+            cls.poll_message_set(reason)
+        return not reason
+
+
+class Starts(Guarded):
     """Starts a job of `runner`: `request` makes what it is asked for, `summary` the sentence about its result."""
 
     # Not UNDO: the job makes its own undo step when it writes, and the redo panel of an UNDO operator would start another job.
@@ -23,11 +40,9 @@ class Starts:
     runner: background.Runner
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        reason = background.busy() or ("The scene is linked from another file" if context.scene.library else "")
-        if reason:
-            cls.poll_message_set(reason)
-        return not reason
+    def refusal(cls, context: bpy.types.Context) -> str:
+        """A job that runs, or a scene that cannot keep a result."""
+        return background.busy() or ("The scene is linked from another file" if context.scene.library else "")
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """With a window: start in the background."""
@@ -59,17 +74,16 @@ class Starts:
         return {"FINISHED"}
 
 
-class Stops:
+class Stops(Guarded):
     """Stops the running job of `runner`."""
 
     bl_options = {"INTERNAL"}
     runner: background.Runner
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not cls.runner.running:
-            cls.poll_message_set(f"No {cls.runner.noun} is running")
-        return cls.runner.running
+    def refusal(cls, context: bpy.types.Context) -> str:
+        """Nothing to stop."""
+        return "" if cls.runner.running else f"No {cls.runner.noun} is running"
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Stop within a second."""
@@ -77,17 +91,16 @@ class Stops:
         return {"FINISHED"}
 
 
-class Clears:
+class Clears(Guarded):
     """Clears what jobs of `runner` have left, by `clear`, and forgets the last one; not while one is running."""
 
     bl_options = {"REGISTER", "UNDO"}
     runner: background.Runner
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if cls.runner.running:
-            cls.poll_message_set(f"A {cls.runner.noun} is running")
-        return not cls.runner.running
+    def refusal(cls, context: bpy.types.Context) -> str:
+        """A job that runs."""
+        return f"A {cls.runner.noun} is running" if cls.runner.running else ""
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Clear the record."""

@@ -9,7 +9,7 @@ from ..adjoint_gi.bridge.baking import check, jobs
 from ..adjoint_gi.bridge.props.properties import request_of
 from ..adjoint_gi.bridge.props.records import AdjointError
 from ..adjoint_gi.bridge.props.request import BakeRequest
-from .background import Starts, Stops, report
+from .background import Guarded, Starts, Stops, report
 
 
 class ADJOINTGI_OT_bake(Starts, bpy.types.Operator):
@@ -38,7 +38,7 @@ class ADJOINTGI_OT_stop(Stops, bpy.types.Operator):
     runner = jobs.BAKES
 
 
-class ADJOINTGI_OT_resume(bpy.types.Operator):
+class ADJOINTGI_OT_resume(Guarded, bpy.types.Operator):
     """Go on from the partial result"""
 
     bl_idname = "adjoint_gi.resume"
@@ -46,12 +46,10 @@ class ADJOINTGI_OT_resume(bpy.types.Operator):
     bl_options = {"INTERNAL"}
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
+    def refusal(cls, context: bpy.types.Context) -> str:
+        """Nothing to continue."""
         job = jobs.BAKES.job
-        if job is None or job.state != "stopped":
-            cls.poll_message_set("No bake was stopped")
-            return False
-        return True
+        return "" if job is not None and job.state == "stopped" else "No bake was stopped"
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start the thread again."""
@@ -63,7 +61,7 @@ class ADJOINTGI_OT_resume(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class ADJOINTGI_OT_write(bpy.types.Operator):
+class ADJOINTGI_OT_write(Guarded, bpy.types.Operator):
     """Write the kept result to its objects, now that what stood in the way is gone"""
 
     bl_idname = "adjoint_gi.write"
@@ -71,12 +69,10 @@ class ADJOINTGI_OT_write(bpy.types.Operator):
     bl_options = {"INTERNAL"}
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
+    def refusal(cls, context: bpy.types.Context) -> str:
+        """Nothing to write."""
         job = jobs.BAKES.job
-        if job is None or job.active or job.solution is None:
-            cls.poll_message_set("Every result has been written")
-            return False
-        return True
+        return "Every result has been written" if job is None or job.active or job.solution is None else ""
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Try again."""

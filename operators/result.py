@@ -10,10 +10,10 @@ from ..adjoint_gi.bridge.props import records
 from ..adjoint_gi.bridge.props.records import AdjointError
 from ..adjoint_gi.bridge.results import show as results
 from ..adjoint_gi.bridge.results.remove import remove_results
-from .background import Clears, report
+from .background import Clears, Guarded, report
 
 
-class ADJOINTGI_OT_show_result(bpy.types.Operator):
+class ADJOINTGI_OT_show_result(Guarded, bpy.types.Operator):
     """Show the baked light on the objects; Restore Materials takes it back"""
 
     bl_idname = "adjoint_gi.show_result"
@@ -21,11 +21,10 @@ class ADJOINTGI_OT_show_result(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if context.scene.adjoint_gi.result.target not in ("texture", "attribute"):
-            cls.poll_message_set("Nothing was baked to a texture or attribute")
-            return False
-        return True
+    def refusal(cls, context: bpy.types.Context) -> str:
+        """Nothing to show."""
+        baked = context.scene.adjoint_gi.result.target in ("texture", "attribute")
+        return "" if baked else "Nothing was baked to a texture or attribute"
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Give the objects a material that emits the result."""

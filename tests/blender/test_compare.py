@@ -41,11 +41,11 @@ SMALL = ("--budget", "time=0.3", "--reference", "path_tracing:0.6", "--resolutio
 LIMIT = 30.0  # seconds that any wait in these tests may take
 
 
-class Layout(test_panel.Layout):
+class ButtonLayout(test_panel.Layout):
     """As that one, with operators whose properties can be set."""
 
     def _inner(self, **_):
-        return Layout(self.drawn)
+        return ButtonLayout(self.drawn)
 
     row = column = box = split = _inner
 
@@ -292,7 +292,7 @@ def test_there_is_a_switch_for_every_method_that_answers_light(state):
     for m in registry.methods():
         name = compare_records.switch(m.spec.id)
         assert (name in state.bl_rna.properties) == (m.spec.answers == "light")
-    layout = Layout()
+    layout = ButtonLayout()
     panel.choice(layout, bpy.context)
     for spec in compare_records.compared():
         assert compare_records.switch(spec.id) in layout.names("prop")
@@ -311,7 +311,7 @@ def test_there_is_a_switch_for_every_method_that_answers_light(state):
 def test_the_panel_shows_what_is_used(state, values, there, missing):
     for name, value in values.items():
         setattr(state, name, value)
-    layout = Layout()
+    layout = ButtonLayout()
     panel.choice(layout, bpy.context)
     props = set(layout.names("prop"))
     assert there <= props and not missing & props
@@ -344,7 +344,7 @@ def test_a_run_fills_table_and_pictures_and_finds_them_again(state, tmp_path):
     pixels = np.empty(len(image.pixels), np.float32)
     image.pixels.foreach_get(pixels)
     assert tuple(image.size) == (900, 500) and pixels.min() < 0.4 and pixels.mean() > 0.8
-    layout = Layout()
+    layout = ButtonLayout()
     panel.result(layout, bpy.context)
     assert layout.names("operator").count("adjoint_gi.show_comparison") == 4
     for word in ("Path Tracing", "rays", "gap", "leaves out interreflection"):
@@ -393,7 +393,7 @@ def test_in_the_background_it_can_be_stopped_and_keeps_what_it_has(state):
     state.reference = "none"
     job = start(state, 1.0)
     assert not bpy.ops.adjoint_gi.compare.poll() and not bpy.ops.adjoint_gi.bake.poll()
-    layout = Layout()
+    layout = ButtonLayout()
     panel.run(layout, bpy.context)
     assert layout.names("operator") == ["adjoint_gi.stop_comparing"] and layout.names("progress")
     ticks(lambda: "Path Tracing" in job.driver.text and job.driver.solution() and job.driver.solution().entries)
@@ -441,15 +441,15 @@ def test_a_run_of_another_scene_says_so(state, monkeypatch):
     notices = [Notice("Cube", "is odd", "", "error")]
     job = types.SimpleNamespace(state="running", active=True, driver=driver, notices=notices, scene=other.session_uid)
     monkeypatch.setattr(COMPARISONS, "job", job)
-    layout = Layout()
+    layout = ButtonLayout()
     panel.run(layout, bpy.context)
     assert "Comparing in scene Attic" in layout.words
     job.active = False
-    layout = Layout()
+    layout = ButtonLayout()
     panel.run(layout, bpy.context)
     assert "Cube" not in layout.words
     job.scene = bpy.context.scene.session_uid
-    layout = Layout()
+    layout = ButtonLayout()
     panel.run(layout, bpy.context)
     assert "Cube" in layout.words
     monkeypatch.setattr(COMPARISONS, "job", None)

@@ -12,7 +12,7 @@ SAME_NORMAL = float(np.cos(np.radians(1.0)))  # nodes whose shading normals diff
 SAME_PLACE = 2e-6  # relative to the size of the world
 
 
-class Grid(Protocol):
+class GriddedElements(Protocol):
     """What is read of `elements.Elements`: patches with their frames, and where each element lies in the grid of its patch."""
 
     world: World
@@ -43,7 +43,7 @@ class Nodes:
     weight        (ne, 4) float64 of an element's value at each of its nodes
     """
 
-    def __init__(self, elements: Grid) -> None:
+    def __init__(self, elements: GriddedElements) -> None:
         self.elements = elements
         local, first = self._grid()
         e = elements
