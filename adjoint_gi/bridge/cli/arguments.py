@@ -56,10 +56,7 @@ def make_parser(in_blender: bool) -> argparse.ArgumentParser:
 def add_request(parser: argparse.ArgumentParser, in_blender: bool) -> None:
     """Arguments that describe a bake."""
     default = "default: %(default)s"
-    if in_blender:
-        parser.add_argument("scene", nargs="?", help="a .blend file instead of the open one")
-    else:
-        parser.add_argument("scene", help="the .blend file")
+    compare_arguments.add_scene(parser, in_blender)
     parser.add_argument("--method", default="path_tracing", help=f"see the command `methods` ({default})")
     parser.add_argument("--target", default="texture", choices=tuple(RECEIVERS), help=default)
     parser.add_argument("--quantity", default=DEFAULTS["quantity"], choices=QUANTITIES, help=default)

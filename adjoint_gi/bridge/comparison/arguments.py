@@ -15,13 +15,18 @@ from ...core.method import registry
 from .request import PLACES, CompareRequest, ReferenceChoice
 
 
-def add_arguments(parser: argparse.ArgumentParser, in_blender: bool) -> None:
-    """Arguments of `compare`."""
-    default = "default: %(default)s"
+def add_scene(parser: argparse.ArgumentParser, in_blender: bool) -> None:
+    """The scene that a command works on; inside Blender the open file is used when none is named."""
     if in_blender:
         parser.add_argument("scene", nargs="?", help="a .blend file instead of the open one")
     else:
         parser.add_argument("scene", help="the .blend file")
+
+
+def add_arguments(parser: argparse.ArgumentParser, in_blender: bool) -> None:
+    """Arguments of `compare`."""
+    default = "default: %(default)s"
+    add_scene(parser, in_blender)
     parser.add_argument("--methods", default="all", metavar="A,B,C", help=f"methods separated by commas, or all that fit ({default})")
     parser.add_argument("--budget", default="time=10", metavar="KIND=VALUE", help=f"for each: time=S, rays=N or error=RMSE ({default})")
     parser.add_argument(

@@ -117,29 +117,36 @@ def write_attribute(
     With `new_object` the evaluated mesh becomes the mesh of a separate object "NAME GI", hidden from renders so that it does not
     take part in the next bake. Raises TargetError when the mesh has changed since it was read, WriteError on a failed read-back.
     """
-    if domain not in ("POINT", "CORNER"):
-        raise TargetError(obj.name, f"{domain!r} is not a domain of color attributes", "Choose POINT or CORNER")
     depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
-    values, covered = np.asarray(values, np.float32), np.asarray(covered, np.float32)
-    if values.ndim != 2 or values.shape[1] != 3 or covered.shape != values.shape[:1]:
-        raise WriteError(obj.name, f"values {values.shape} and coverage {covered.shape} do not fit together", "Give (n, 3) and (n,)")
-    require_finite(f"{obj.name} {name}", values)
+    colors = checked_colors(obj, domain, name, values, covered)
     check_attribute_target(obj, depsgraph, new_object)
     if new_object:
         mesh = bpy.data.meshes.new_from_object(obj.evaluated_get(depsgraph), preserve_all_data_layers=True, depsgraph=depsgraph)
     else:
         mesh = obj.data
     expected = len(mesh.vertices) if domain == "POINT" else len(mesh.loops)
-    if len(values) != expected:
+    if len(colors) != expected:
         if new_object:
             bpy.data.meshes.remove(mesh)
         raise TargetError(
-            obj.name, f"has {expected} values to fill but the result has {len(values)}: it was edited meanwhile", "Bake again"
+            obj.name, f"has {expected} values to fill but the result has {len(colors)}: it was edited meanwhile", "Bake again"
         )
     target = place_result_object(obj, mesh) if new_object else obj
-
-    colors = np.concatenate([values, covered[:, None]], axis=1)
     return fill_attribute(target, key, domain, name, colors)
+
+
+def checked_colors(obj: bpy.types.Object, domain: str, name: str, values: np.ndarray, covered: np.ndarray) -> np.ndarray:
+    """(n, 4) float32 of `values` (n, 3) with `covered` (n,) as alpha, for the attribute `name`.
+
+    Raises TargetError for an unknown domain, WriteError for shapes that do not fit together and values that are not finite.
+    """
+    if domain not in ("POINT", "CORNER"):
+        raise TargetError(obj.name, f"{domain!r} is not a domain of color attributes", "Choose POINT or CORNER")
+    values, covered = np.asarray(values, np.float32), np.asarray(covered, np.float32)
+    if values.ndim != 2 or values.shape[1] != 3 or covered.shape != values.shape[:1]:
+        raise WriteError(obj.name, f"values {values.shape} and coverage {covered.shape} do not fit together", "Give (n, 3) and (n,)")
+    require_finite(f"{obj.name} {name}", values)
+    return np.concatenate([values, covered[:, None]], axis=1)
 
 
 def fill_attribute(obj: bpy.types.Object, key: str, domain: str, name: str, colors: np.ndarray) -> WrittenAttribute:

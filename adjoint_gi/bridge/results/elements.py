@@ -7,11 +7,10 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ...core.base.atomic import require_finite
 from ...core.base.errors import TargetError, WriteError
 from ...core.elements.mesh import ElementMesh
 from ...core.scene.arrays import ObjectArrays, SceneArrays
-from .attribute import WrittenAttribute, check_attribute_target, fill_attribute, place_result_object, result_object
+from .attribute import WrittenAttribute, check_attribute_target, checked_colors, fill_attribute, place_result_object, result_object
 from .preview import own_material
 
 
@@ -34,13 +33,10 @@ def write_elements(
     The object stands where `obj` stands, has its materials, is hidden from renders and is found by the link stored on `obj`.
     Raises TargetError when the mesh has changed since it was read, WriteError on a failed read-back.
     """
-    if domain not in ("POINT", "CORNER"):
-        raise TargetError(obj.name, f"{domain!r} is not a domain of color attributes", "Choose POINT or CORNER")
     depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
-    values, covered = np.asarray(values, np.float32), np.asarray(covered, np.float32)
-    if values.shape != mesh.vertices.shape or covered.shape != values.shape[:1]:
-        raise WriteError(obj.name, f"values {values.shape} and coverage {covered.shape} do not fit the elements", "Bake again")
-    require_finite(f"{obj.name} {name}", values)
+    colors = checked_colors(obj, domain, name, values, covered)
+    if len(colors) != len(mesh.vertices):
+        raise WriteError(obj.name, f"{len(colors)} values do not fit the {len(mesh.vertices)} vertices of the elements", "Bake again")
     check_attribute_target(obj, depsgraph, new_object=True)
 
     # Step 1: the faces of this object, and its vertices from 0 on.
@@ -87,7 +83,7 @@ def write_elements(
     target = place_result_object(obj, data)
     if flat:
         target.matrix_world = Matrix.Identity(4)
-    colors = np.concatenate([values, covered[:, None]], axis=1)[used]
+    colors = colors[used]
     return fill_attribute(target, key, domain, name, colors if domain == "POINT" else colors[corners])
 
 
