@@ -325,14 +325,14 @@ def test_23_many_triangles_are_estimated_then_refused(monkeypatch):
 
 
 def test_24_instances_receive_nothing_and_cast_shadows(tmp_path):
-    """100,000 of them are read in linear time: test_extract_mesh.py, marked slow. Here: what becomes of them."""
+    """100,000 of them are read in linear time: test_extract_mesh.py, marked slow. Here: how they are baked."""
     two_thousand_instances(tmp_path)
     bpy.context.view_layer.update()
     found = baking.request(resolution=16, objects=("child",))
     with pytest.raises(baking.AdjointError, match="child: .*seen only as an instance.*Make its instances real"):
         baking.Bake(bpy.context, found)
     made = baking.Bake(bpy.context, baking.request(resolution=16, values={"samples": 1}))
-    assert len(made.driver.world.scene.objects) == 2001 and math.isclose(made.world.scene.vertices[:, 0].max(), 50.0)
+    assert len(made.driver.world.scene.objects) == 2001 and math.isclose(made.driver.world.scene.vertices[:, 0].max(), 50.0)
 
 
 # ---- 27: edit mode
