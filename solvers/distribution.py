@@ -33,7 +33,7 @@ from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Points, Receivers
 from ..adjoint_gi.core.sampling.sets import KINDS, Sampler
 from ..adjoint_gi.core.scene.world import Surface, World
-from ..adjoint_gi.core.walks.gathering import BATCH, Estimate, Run
+from ..adjoint_gi.core.walks.gathering import SAMPLES_PER_BATCH, Estimate, Run
 from ..adjoint_gi.core.walks.paths import NEVER, Gathered, Paths, Walk, follow
 from ..adjoint_gi.core.walks.radiance import LobeVertices, start
 
@@ -96,13 +96,13 @@ class Distribution(Solver):
         """Sums in float64, one copy of the result, and the rays of every thread."""
         slots = bsdf.BsdfTable(world.scene).count
         ray = 300 + 60 * slots
-        return receivers.count * 500 + thread_count() * BATCH * ray * (2 + settings.split_depth)
+        return receivers.count * 500 + thread_count() * SAMPLES_PER_BATCH * ray * (2 + settings.split_depth)
 
     def solve(self, world: World, receivers: Receivers, settings: DistributionSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every few batches of samples."""
         emitters = Emitters(world)
         run = Run(self.spec, world, receivers, settings, emitters)
-        tracer = Tracer(world, emitters, receivers, settings, int(rng.integers(0, 1 << 32)))
+        tracer = DistributionTracer(world, emitters, receivers, settings, int(rng.integers(0, 1 << 32)))
         yield from run.steps(None, settings.samples, rng, tracer.place, tracer.batch)
 
 
@@ -123,7 +123,7 @@ class Rows:
         return Rows(self.receiver[which], self.number[which], self.total)
 
 
-class Tracer:
+class DistributionTracer:
     """The two stages, in a world."""
 
     def __init__(self, world: World, emitters: Emitters, receivers: Receivers, settings: DistributionSettings, seed: int) -> None:
@@ -137,7 +137,7 @@ class Tracer:
         s = settings
         rays = 6 * s.brdf_samples**s.split_depth
         rays += sum(s.brdf_samples**d * (s.light_samples + s.brdf_samples) for d in range(s.split_depth))
-        self.batch = max(256, min(BATCH, (1 << 16) // rays))
+        self.batch = max(256, min(SAMPLES_PER_BATCH, (1 << 16) // rays))
 
     def place(self, owner: np.ndarray, number: np.ndarray, rng: np.random.Generator) -> tuple[Points, Estimate]:
         """Points of samples `number` (n,) of receivers `owner` (n,), and the estimate at these."""

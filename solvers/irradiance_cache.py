@@ -37,7 +37,7 @@ from ..adjoint_gi.core.walks.irradiance_records import RecordIndex, Records, gra
 from ..adjoint_gi.core.walks.paths import Gathered, Walk
 from ..adjoint_gi.core.walks.radiance import gather, lobes_of
 
-BLOCK = 64  # records made together
+RECORDS_PER_BLOCK = 64  # records made together
 ROUND = 512  # records made before the cache is asked again
 PIECE = 1 << 13  # receiver points that ask it at once
 
@@ -156,12 +156,12 @@ class _State:
             yield (int(points.receiver.max()) + 1) / receivers.count
 
     def _add(self, surface: Surface, pick: np.ndarray, run: Run) -> Iterator[float]:
-        blocks = [pick[a : a + BLOCK] for a in range(0, len(pick), BLOCK)]
+        blocks = [pick[a : a + RECORDS_PER_BLOCK] for a in range(0, len(pick), RECORDS_PER_BLOCK)]
         first = len(self.records.radius)
 
         def make(item: tuple[int, np.ndarray]) -> tuple[Records, int]:
             index, block = item
-            generator = np.random.Generator(np.random.SFC64([*self.seed, first + index * BLOCK]))
+            generator = np.random.Generator(np.random.SFC64([*self.seed, first + index * RECORDS_PER_BLOCK]))
             return self._make(surface.take(block), generator)
 
         for records, rays in in_order(make, enumerate(blocks)):

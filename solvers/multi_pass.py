@@ -34,7 +34,7 @@ from ..adjoint_gi.core.method.registry import BOTH_NATURES, SHOOTING_THEN_GATHER
 from ..adjoint_gi.core.method.solution import Solution, Step
 from ..adjoint_gi.core.radiosity.lamp_light import dark_notices, receiver_light
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
-from ..adjoint_gi.core.radiosity.southwell import LARGEST_BATCH, Grouping, Shooting, Southwell, balance
+from ..adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP, Grouping, Shooting, Southwell, balance
 from ..adjoint_gi.core.radiosity.trapped import Trap
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import World
@@ -42,7 +42,7 @@ from ..adjoint_gi.core.two_pass.extended_factors import ExtendedShots
 from ..adjoint_gi.core.two_pass.known_light import KnownLight
 from ..adjoint_gi.core.two_pass.outside_light import OutsideLight
 from ..adjoint_gi.core.two_pass.view_pass import View, estimator
-from ..adjoint_gi.core.walks.gathering import BATCH, Run
+from ..adjoint_gi.core.walks.gathering import SAMPLES_PER_BATCH, Run
 from ..adjoint_gi.core.walks.mirror_chains import Chains
 from ..adjoint_gi.core.walks.paths import Walk
 
@@ -110,7 +110,7 @@ class MultiPass(Solver):
         """Elements, rays under way, receivers in both passes and their points."""
         count = element_count(world, receivers, settings.max_edge, self.spec.elements)
         sides = 2 * 3 * 8 * (30 + settings.depth)
-        return count * (700 + sides) + 900 * LARGEST_BATCH + 1200 * receivers.count + 600 * BATCH * thread_count()
+        return count * (700 + sides) + 900 * MOST_RAYS_PER_GROUP + 1200 * receivers.count + 600 * SAMPLES_PER_BATCH * thread_count()
 
     def solve(self, world: World, receivers: Receivers, settings: MultiPassSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every group of shots, then about ten times a second."""

@@ -113,7 +113,7 @@ class ParticleTracing(Solver):
 
     def solve(self, world: World, receivers: Receivers, settings: ParticleSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every batch; the fraction is particles done."""
-        shot = Shooting(self.spec, world, receivers, settings, rng)
+        shot = ParticleRun(self.spec, world, receivers, settings, rng)
 
         # Step 1: where the receivers lie on the elements, or what they are made of: the places g whose flux is wanted.
         for share in shot.score.prepare():
@@ -135,7 +135,7 @@ class ParticleTracing(Solver):
         yield from shot.clock.last(Step(1.0, f"{shot.tally.count:,} particles", shot.solution))
 
 
-class Shooting:
+class ParticleRun:
     """One solve: what emits, where particles are counted, and what was counted so far."""
 
     def __init__(self, spec: MethodSpec, world: World, receivers: Receivers, settings: ParticleSettings, rng: np.random.Generator) -> None:

@@ -33,7 +33,7 @@ from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.radiosity.element_run import Found, RadiosityRun
 from ..adjoint_gi.core.radiosity.importance import GROWTH, PER_SIDE, Subdivision, importance, shoot_emitters
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
-from ..adjoint_gi.core.radiosity.southwell import BATCH, LARGEST_BATCH, Grouping, Shooting, Southwell, balance
+from ..adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP, RAYS_PER_GROUP, Grouping, Shooting, Southwell, balance
 from ..adjoint_gi.core.radiosity.transports import FreshRayTransport
 from ..adjoint_gi.core.radiosity.trapped import Trap
 from ..adjoint_gi.core.receivers.base import Receivers
@@ -110,7 +110,7 @@ class ProgressiveRadiosity(Solver):
         count = element_count(world, receivers, settings.max_edge, self.element_target(settings))
         count *= GROWTH if settings.adaptive else 1
         classes = max(1, settings.max_length) if settings.max_length < NO_LIMIT else max(2, settings.min_length)
-        return count * (700 + 2 * 3 * 8 * (6 * classes + 8)) + 600 * LARGEST_BATCH + 100 * receivers.count
+        return count * (700 + 2 * 3 * 8 * (6 * classes + 8)) + 600 * MOST_RAYS_PER_GROUP + 100 * receivers.count
 
     def solve(self, world: World, receivers: Receivers, settings: ProgressiveSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every group of shots; the fraction is the flux delivered."""
@@ -170,8 +170,8 @@ class ProgressiveRun(RadiosityRun):
         """Shoot the emitters, then cut elements round by round and go on with the finer ones; no flux is gained or lost."""
         s, start = self.settings, self.state
         flux = start.unshot_flux()
-        rays = Grouping(s.rays, BATCH).rays(np.arange(len(flux)), flux, start.total)
-        for _ in shoot_emitters(start, rays, BATCH):
+        rays = Grouping(s.rays, RAYS_PER_GROUP).rays(np.arange(len(flux)), flux, start.total)
+        for _ in shoot_emitters(start, rays, RAYS_PER_GROUP):
             yield from self.step(0.0, "Light of emitting surfaces")
         limit = s.min_edge or self.base.max_edge / 8
         matters = None

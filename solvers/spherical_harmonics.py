@@ -33,7 +33,7 @@ from ..adjoint_gi.core.radiosity.southwell import Grouping, Shooting, balance
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import World
 
-BATCH = 1 << 16  # rays of the sides that shoot together
+RAYS_PER_GROUP = 1 << 16  # rays of the sides that shoot together
 FEWEST, MOST_RAYS = 16, 1 << 16  # rays of one shot
 ENOUGH = 8  # rays for every coefficient, in shots of sides that are not plainly diffuse
 AT_ONCE = 1 << 13  # sides that shoot together at most
@@ -97,7 +97,13 @@ class SphericalHarmonics(Solver):
         count = element_count(world, receivers, settings.max_edge, self.spec.elements)
         classes = max(1, settings.max_length) if settings.max_length < NO_LIMIT else max(2, settings.min_length)
         size = harmonic_count(settings.order)
-        return 2 * count * size * 24 * (3 * classes + 8) + BATCH * 8 * (60 + 4 * size) + (128 << 20) + 700 * count + 1200 * receivers.count
+        return (
+            2 * count * size * 24 * (3 * classes + 8)
+            + RAYS_PER_GROUP * 8 * (60 + 4 * size)
+            + (128 << 20)
+            + 700 * count
+            + 1200 * receivers.count
+        )
 
     def solve(self, world: World, receivers: Receivers, settings: HarmonicSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every group of shots; the fraction is the flux delivered."""
@@ -136,4 +142,4 @@ def grouping(state: HarmonicShooting, carriers: int) -> Grouping:
         # fewer rays than this, each of which may hit another mirror, it would grow from bounce to bounce.
         return np.where(state.scattering.shiny[index >> 1], max(FEWEST, ENOUGH * state.basis.size), FEWEST)
 
-    return Grouping(carriers, BATCH, AT_ONCE, fewest, MOST_RAYS)
+    return Grouping(carriers, RAYS_PER_GROUP, AT_ONCE, fewest, MOST_RAYS)

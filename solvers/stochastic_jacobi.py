@@ -32,7 +32,7 @@ from ..adjoint_gi.core.method.registry import NONDETERMINISTIC, SHOOTING, Method
 from ..adjoint_gi.core.method.solution import EnergyBalance, Step
 from ..adjoint_gi.core.radiosity.element_run import Found, RadiosityRun
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
-from ..adjoint_gi.core.radiosity.southwell import LARGEST_BATCH, Southwell, balance
+from ..adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP, Southwell, balance
 from ..adjoint_gi.core.radiosity.transports import FreshRayTransport
 from ..adjoint_gi.core.radiosity.trapped import Trap
 from ..adjoint_gi.core.receivers.base import Receivers
@@ -86,7 +86,7 @@ class StochasticJacobi(Solver):
         """Elements, unshot light by path length, rays under way and receivers; it grows linearly with the elements."""
         count = element_count(world, receivers, settings.max_edge, self.element_target(settings))
         classes = max(1, settings.max_length) if settings.max_length < NO_LIMIT else max(2, settings.min_length)
-        return count * (700 + 2 * 3 * 8 * (6 * classes + 12)) + 600 * LARGEST_BATCH + 100 * receivers.count
+        return count * (700 + 2 * 3 * 8 * (6 * classes + 12)) + 600 * MOST_RAYS_PER_GROUP + 100 * receivers.count
 
     def solve(self, world: World, receivers: Receivers, settings: StochasticJacobiSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every iteration of every run; the fraction is the flux delivered, over the runs."""
@@ -123,7 +123,7 @@ class JacobiRun(RadiosityRun):
         self, solver: Solver, world: World, receivers: Receivers, settings: StochasticJacobiSettings, rng: np.random.Generator
     ) -> None:
         super().__init__(solver, world, receivers, settings)
-        self.count = max(RUNS, -(-settings.rays // LARGEST_BATCH))
+        self.count = max(RUNS, -(-settings.rays // MOST_RAYS_PER_GROUP))
         self.transport = FreshRayTransport(ElementRays(self.elements), rng)
         self.mean = Mean(self.transport.area)
 

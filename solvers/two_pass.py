@@ -42,7 +42,7 @@ from ..adjoint_gi.core.two_pass.extended_factors import ExtendedTransport
 from ..adjoint_gi.core.two_pass.known_light import KnownLight, lengths_of
 from ..adjoint_gi.core.two_pass.outside_light import OutsideLight
 from ..adjoint_gi.core.two_pass.view_pass import View, estimator
-from ..adjoint_gi.core.walks.gathering import BATCH, Run
+from ..adjoint_gi.core.walks.gathering import SAMPLES_PER_BATCH, Run
 from ..adjoint_gi.core.walks.mirror_chains import Chains
 from ..adjoint_gi.core.walks.paths import Walk
 
@@ -106,7 +106,7 @@ class TwoPass(Solver):
         fields = (settings.max_length if settings.max_length < NO_LIMIT else settings.min_length) + 4
         chains = 2 * count * settings.rays * 36 * kept
         sums = 2 * count * 3 * 8 * (2 * fields + settings.depth + 12) + 700 * count + receivers.count * 400
-        return chains + sums + 600 * BATCH * thread_count()
+        return chains + sums + 600 * SAMPLES_PER_BATCH * thread_count()
 
     def solve(self, world: World, receivers: Receivers, settings: TwoPassSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield through both passes; pictures begin with the second."""

@@ -105,7 +105,7 @@ class Whitted(Solver):
     def solve(self, world: World, receivers: Receivers, settings: WhittedSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every few batches of receivers. Raises SceneError for rough lobes where they are refused."""
         emitters = Emitters(world)
-        tracer = Tracer(world, emitters, settings)
+        tracer = MirrorTracer(world, emitters, settings)
         notices = rough_notices(world, settings.rough)
         batch = tracer.points.batch
         deepest = min(settings.depth, settings.max_length)
@@ -156,7 +156,7 @@ class Front:
         return Front(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
 
-class Tracer:
+class MirrorTracer:
     """Eq. 9 in a world."""
 
     def __init__(self, world: World, emitters: Emitters, settings: WhittedSettings) -> None:

@@ -315,6 +315,14 @@ def test_right_code_passes_every_rule():
     assert [breach for rule, _ in CHECKS for breach in rule(source, "solvers/x.py")] == []
 
 
+def test_a_class_name_means_one_thing():
+    """No two classes of the product have the same name; those of tests are their own."""
+    names = [node.name for path in PRODUCT for node in ast.walk(ast.parse(read(path))) if isinstance(node, ast.ClassDef)]
+    public = [name for name in names if not name.startswith("_")]
+    assert len(public) > 100
+    assert sorted({name for name in public if public.count(name) > 1}) == []
+
+
 @pytest.mark.parametrize(("part", "order"), ORDER.items())
 def test_order_names_every_folder(part, order):
     """Each folder has its place in `ORDER`, a head note, and nothing but that in its `__init__.py`."""

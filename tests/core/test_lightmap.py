@@ -100,7 +100,7 @@ def test_results_do_not_depend_on_the_chunk_size(monkeypatch):
     b.mesh("Sphere", vertices, triangles, WHITE, uv=uv)
     world = World(b.build())
     whole = rasterize(world, [0], resolution=64, subsamples=3)
-    monkeypatch.setattr(lightmap, "CHUNK", 100)
+    monkeypatch.setattr(lightmap, "TEXELS_PER_CHUNK", 100)
     parts = rasterize(world, [0], resolution=64, subsamples=3)
     assert np.array_equal(whole.receivers.triangle, parts.receivers.triangle)
     assert np.array_equal(whole.receivers.u, parts.receivers.u)

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.method.solution import EnergyBalance
 from adjgi.adjoint_gi.core.radiosity.relaxation import jacobi
-from adjgi.adjoint_gi.core.radiosity.southwell import BATCH, LARGEST_BATCH, Grouping, Shooting, Southwell, balance, most_first
+from adjgi.adjoint_gi.core.radiosity.southwell import (
+    MOST_RAYS_PER_GROUP,
+    RAYS_PER_GROUP,
+    Grouping,
+    Shooting,
+    Southwell,
+    balance,
+    most_first,
+)
 from adjgi.adjoint_gi.core.radiosity.transports import MatrixTransport
 
 AREA = np.array([1.0, 2.0, 1.0])
@@ -40,7 +48,7 @@ def test_a_group_fits_into_a_batch_and_takes_rays_by_flux():
 
 
 def test_batches_grow_with_the_sides():
-    assert [Grouping.for_sides(n, 1).batch for n in (10, 1 << 18, 1 << 30)] == [BATCH, 1 << 17, LARGEST_BATCH]
+    assert [Grouping.for_sides(n, 1).batch for n in (10, 1 << 18, 1 << 30)] == [RAYS_PER_GROUP, 1 << 17, MOST_RAYS_PER_GROUP]
     assert Grouping.for_sides(10, 1, least=100).batch == 100
 
 

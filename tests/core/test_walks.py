@@ -13,7 +13,7 @@ from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.diffuse_paths import STRATIFIED, VERTEX, DiffuseVertices, Numbers
 from adjgi.adjoint_gi.core.walks.paths import Paths, Walk, by_root, by_weight, follow
 from adjgi.adjoint_gi.core.walks.radiance import start
-from adjgi.adjoint_gi.core.walks.shooting import Flight, Scattered, shoot
+from adjgi.adjoint_gi.core.walks.shooting import Departed, Flight, shoot
 from adjgi.tests import scenes
 from adjgi.tests.surface_points import receivers_at
 
@@ -112,7 +112,7 @@ def test_a_walk_that_shoots_keeps_rows_and_ends_where_told():
         normal, d = at.surface.ng[keep], at.direction[keep]
         d = d - 2 * (d * normal).sum(axis=1)[:, None] * normal
         origin = world.leave(at.surface.take(keep))
-        return Scattered(keep, Flight(origin, d, RayKind.GLOSSY, at.weight[keep] / 2))
+        return Departed(keep, Flight(origin, d, RayKind.GLOSSY, at.weight[keep] / 2))
 
     rows = []
     for segment in shoot(world, flight, most, reflect, rng):
@@ -131,7 +131,7 @@ def test_what_is_met_too_near_or_too_far_on_the_first_segment_escapes():
     none = np.zeros(0, np.int64)
 
     def absorb(at, rng):
-        return Scattered(none, Flight(origin[none], direction[none], RayKind.DIFFUSE, flight.weight[none]))
+        return Departed(none, Flight(origin[none], direction[none], RayKind.DIFFUSE, flight.weight[none]))
 
     dark, reach = np.float32([0, 0.6, 0]), np.float32([2, 2, 0.4])
     (segment,) = shoot(world, flight, 3, absorb, np.random.default_rng(0), dark, reach)

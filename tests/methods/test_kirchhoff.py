@@ -20,7 +20,7 @@ from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks import radiance
 from adjgi.adjoint_gi.core.walks.particles import walk
 from adjgi.solvers import load
-from adjgi.solvers.distribution import DistributionSettings, Rows, Tracer
+from adjgi.solvers.distribution import DistributionSettings, DistributionTracer, Rows
 from adjgi.tests.cie171 import receivers_at
 
 load()
@@ -119,7 +119,7 @@ def test_distributed_rays_find_radiance_one():
     surface, wo = start(world, 8000, rng)
     receivers = receivers_at(world, np.array([(0.3, 0.4, 0.0)]))
     settings = DistributionSettings(brdf_samples=4, split_depth=2, sampling="independent", max_length=200)
-    tracer = Tracer(world, Emitters(world), receivers, settings, 1)
+    tracer = DistributionTracer(world, Emitters(world), receivers, settings, 1)
     tracer.walk = dataclasses.replace(tracer.walk, lights=False, emission=emission)
     rows = Rows(np.zeros(len(wo), np.int64), np.arange(len(wo)), len(wo))
     vertices = radiance.LobeVertices(tracer.walk, surface, radiance.lobes_of(tracer.walk, surface, wo))

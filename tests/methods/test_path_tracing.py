@@ -336,7 +336,7 @@ def test_batches_cover_every_sample_once(even):
     for count, samples in ((1, 1), (1, 100), (1500, 37), (40_000, 5), (7, 16)):
         done = np.zeros((count, samples), int)
         for first, last, now, index in module.batches(count, samples, even=even):
-            assert 0 < (last - first) * now <= module.BATCH
+            assert 0 < (last - first) * now <= module.SAMPLES_PER_BATCH
             # From a power of two to the next, as far as there are so many samples.
             assert not even or index + now == samples or index + now in (1, 2, 4, 8) or (index + now) % 16 == 0
             done[first:last, index : index + now] += 1

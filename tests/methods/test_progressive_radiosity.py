@@ -14,7 +14,7 @@ from adjgi.adjoint_gi.core.lights.direct import direct_irradiance
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.radiosity import importance as adaptive
-from adjgi.adjoint_gi.core.radiosity.southwell import LARGEST_BATCH
+from adjgi.adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Light
 from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
@@ -142,7 +142,7 @@ def test_promises_of_every_step():
     before, fraction, rays, unshot = None, 0.0, 0, np.inf
     for step in states(receivers, ambient=False, tolerance=1e-4, rays=500_000):
         s = step.solution()
-        assert s.rays - rays <= LARGEST_BATCH  # a quarter of a second on a machine that is not busy
+        assert s.rays - rays <= MOST_RAYS_PER_GROUP  # a quarter of a second on a machine that is not busy
         assert s.balance.gap <= 1e-9
         assert s.balance.unshot <= unshot * (1 + 1e-12)
         assert fraction <= step.fraction <= 1.0
@@ -224,7 +224,7 @@ def test_memory_grows_linearly():
     for edge in (0.02, 0.01):
         world = World(scenes.cube())
         receivers = CameraReceivers(World(scenes.cornell(1, 1)))
-        needed.append(solver.memory(world, receivers, solver.Settings(max_edge=edge)) - 600 * LARGEST_BATCH)
+        needed.append(solver.memory(world, receivers, solver.Settings(max_edge=edge)) - 600 * MOST_RAYS_PER_GROUP)
     assert needed[1] == pytest.approx(4 * needed[0], rel=0.01)
 
 

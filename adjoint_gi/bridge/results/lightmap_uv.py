@@ -186,7 +186,7 @@ def _notices(objects: Sequence[bpy.types.Object], unwrapped: Unwrapped) -> list[
 
 
 @dataclass(frozen=True, eq=False)
-class Faces:
+class MeshFaces:
     """The triangles of a Blender mesh, in the object's size in the world so that texels are as large on all sides.
 
     mesh        what is unwrapped: the triangles that have an area and a position
@@ -232,7 +232,7 @@ class Faces:
         out[self.corners[which, k]] = carry(self.point[base], uv, self.point[which, k][:, None])[:, 0]
 
 
-def read_faces(obj: bpy.types.Object) -> Faces:
+def read_faces(obj: bpy.types.Object) -> MeshFaces:
     """The faces of the original mesh of `obj`; raises SceneError where none can be unwrapped."""
     mesh = obj.data
     if not mesh.polygons:
@@ -255,4 +255,4 @@ def read_faces(obj: bpy.types.Object) -> Faces:
     if not good.any():
         raise SceneError(obj.name, "has no face with an area", "Give it faces with an area, and no scale of 0")
     flat = Mesh(np.where(np.isfinite(vertices), vertices, 0.0), triangles[good].astype(np.int64), polygon[good])
-    return Faces(flat, point, corners, polygon, area, good, len(mesh.loops))
+    return MeshFaces(flat, point, corners, polygon, area, good, len(mesh.loops))

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..sampling.maps import TWO_PI, polar
 from . import microfacet as mf
-from .lobe import Drawn, LobeKind, Seen
+from .lobe import Drawn, LobeKind, LobeView
 
 
 class Diffuse(LobeKind):
@@ -15,12 +15,12 @@ class Diffuse(LobeKind):
     name = "diffuse"
     under_coat = True
 
-    def evaluate(self, seen: Seen, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, seen: LobeView, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """By the cosine."""
         up = np.maximum(wi[:, 2], 0)
         return lambert(seen.color, up), up / mf.PI
 
-    def sample(self, seen: Seen, smooth: np.ndarray, r: np.ndarray) -> Drawn:
+    def sample(self, seen: LobeView, smooth: np.ndarray, r: np.ndarray) -> Drawn:
         """With the density cosine / pi."""
         return Drawn(cosine_directions(r), seen.color)
 

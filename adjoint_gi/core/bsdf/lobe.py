@@ -14,7 +14,7 @@ DELTA_ALPHA = np.float32(1e-3)
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class LobeView:
     """Lobes of one kind at m points, seen from `wo` (m, 3) float32, unit, in the frame of the shading normal (z), wo_z > 0.
 
     color (m, 3); alpha (m,), roughness squared; ior (m,); entering (m,) bool: seen from outside; gain: rows of the scene's `Gains`,
@@ -31,10 +31,10 @@ class Seen:
     many: np.ndarray
     tint: np.ndarray
 
-    def take(self, which: np.ndarray) -> Seen:
+    def take(self, which: np.ndarray) -> LobeView:
         """The same at a subset of the points."""
         parts = (self.wo, self.color, self.alpha, self.ior)
-        return Seen(*(a[which] for a in parts), self.gain.take(which), self.entering[which], self.many[which], self.tint[which])
+        return LobeView(*(a[which] for a in parts), self.gain.take(which), self.entering[which], self.many[which], self.tint[which])
 
     @property
     def eta(self) -> np.ndarray:
@@ -75,15 +75,15 @@ class LobeKind(ABC):
     two_sided = True
     parts = 1
 
-    def evaluate(self, seen: Seen, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, seen: LobeView, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """f(wo, wi) |cos| (m, 3) and the density pdf_w (m,) with which `sample` finds `wi` (m, 3); no lobe here is perfectly smooth."""
         return np.zeros((len(wi), 3), np.float32), np.zeros(len(wi), np.float32)
 
     @abstractmethod
-    def sample(self, seen: Seen, smooth: np.ndarray, r: np.ndarray) -> Drawn:
+    def sample(self, seen: LobeView, smooth: np.ndarray, r: np.ndarray) -> Drawn:
         """Directions from uniform numbers `r` (3, m); `smooth` (m,) bool: perfectly smooth."""
 
-    def albedo(self, seen: Seen) -> np.ndarray:
+    def albedo(self, seen: LobeView) -> np.ndarray:
         """(m,) share of light from everywhere that is sent towards wo, over the colour."""
         return np.ones(len(seen.wo), np.float32)
 
@@ -91,15 +91,15 @@ class LobeKind(ABC):
         """(m, 3) what facets of this colour (m, 3) reflect and pass, in the mean over all angles."""
         return color
 
-    def reflected(self, seen: Seen, cosine: np.ndarray) -> np.ndarray:
+    def reflected(self, seen: LobeView, cosine: np.ndarray) -> np.ndarray:
         """(m, 3) share of light that a facet reflects which it meets at `cosine` (m,)."""
         return np.zeros_like(seen.color)
 
-    def passed(self, seen: Seen) -> tuple[np.ndarray, np.ndarray]:
+    def passed(self, seen: LobeView) -> tuple[np.ndarray, np.ndarray]:
         """Through a perfectly smooth surface: the other direction (m, 3), and the share (m,) of its light that comes through to wo."""
         return -seen.wo, np.zeros(len(seen.wo), np.float32)
 
-    def highlight_tint(self, seen: Seen) -> np.ndarray:
+    def highlight_tint(self, seen: LobeView) -> np.ndarray:
         """(m, 3) strength k_s of the highlight."""
         return seen.color
 

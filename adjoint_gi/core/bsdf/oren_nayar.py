@@ -15,7 +15,7 @@ import numpy as np
 
 from . import microfacet as mf
 from .diffuse import cosine_directions
-from .lobe import Drawn, LobeKind, Seen
+from .lobe import Drawn, LobeKind, LobeView
 
 LOSS = np.float32(np.pi / 2 - 2 / 3)  # 1 - E(cos) = b (LOSS - G(cos))
 MEAN = np.float32((2 * np.pi - 5.6) / 3)  # cosine-weighted mean of G
@@ -28,7 +28,7 @@ class OrenNayar(LobeKind):
     under_coat = nearly_diffuse = True
     parts = 2
 
-    def evaluate(self, seen: Seen, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, seen: LobeView, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Above the surface only."""
         up = np.maximum(wi[:, 2], 0)
         once, again = terms(seen.alpha, seen.wo, wi)
@@ -37,7 +37,7 @@ class OrenNayar(LobeKind):
             value += seen.color * kept(seen.alpha, seen.tint) * (again * up * seen.many)[:, None]
         return value, up / mf.PI
 
-    def sample(self, seen: Seen, smooth: np.ndarray, r: np.ndarray) -> Drawn:
+    def sample(self, seen: LobeView, smooth: np.ndarray, r: np.ndarray) -> Drawn:
         """With the density cosine / pi."""
         return Drawn(cosine_directions(r), seen.color)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from . import microfacet as mf
-from .lobe import DELTA_ALPHA, Drawn, LobeKind, Seen
+from .lobe import DELTA_ALPHA, Drawn, LobeKind, LobeView
 
 
 class Reflection(LobeKind):
@@ -14,7 +14,7 @@ class Reflection(LobeKind):
     delta_below = DELTA_ALPHA
     reflects = True
 
-    def evaluate(self, seen: Seen, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, seen: LobeView, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Above the surface only."""
         value, pdf = np.zeros((len(wi), 3), np.float32), np.zeros(len(wi), np.float32)
         above = np.flatnonzero(wi[:, 2] > 0)
@@ -25,7 +25,7 @@ class Reflection(LobeKind):
             pdf[above] = mf.visible_pdf(here.wo, h, here.alpha) / np.maximum(4 * cosine, np.float32(1e-7))
         return value, pdf
 
-    def sample(self, seen: Seen, smooth: np.ndarray, r: np.ndarray) -> Drawn:
+    def sample(self, seen: LobeView, smooth: np.ndarray, r: np.ndarray) -> Drawn:
         """A visible facet, and the direction that it mirrors wo to."""
         h = facets(seen, smooth, r)
         wi = mf.reflect(seen.wo, h)
@@ -39,7 +39,7 @@ class Glossy(Reflection):
     name = "glossy"
     highlight = regains = True
 
-    def reflected(self, seen: Seen, cosine: np.ndarray) -> np.ndarray:
+    def reflected(self, seen: LobeView, cosine: np.ndarray) -> np.ndarray:
         """The colour."""
         return seen.color
 
@@ -50,7 +50,7 @@ class Metallic(Glossy):
     name = "metallic"
     parts = 2
 
-    def reflected(self, seen: Seen, cosine: np.ndarray) -> np.ndarray:
+    def reflected(self, seen: LobeView, cosine: np.ndarray) -> np.ndarray:
         """By Schlick's formula."""
         return mf.schlick(cosine, seen.color)
 
@@ -81,11 +81,11 @@ class Dielectric(Reflection):
     two_sided = False
     partial = True
 
-    def reflected(self, seen: Seen, cosine: np.ndarray) -> np.ndarray:
+    def reflected(self, seen: LobeView, cosine: np.ndarray) -> np.ndarray:
         """By Fresnel's equations."""
         return seen.color * mf.fresnel(cosine, seen.eta)[:, None]
 
-    def albedo(self, seen: Seen) -> np.ndarray:
+    def albedo(self, seen: LobeView) -> np.ndarray:
         """The reflectance of a smooth boundary."""
         return mf.fresnel(seen.wo[:, 2], seen.eta)
 
@@ -96,23 +96,23 @@ class Specular(Reflection):
     name = "specular"
     is_coat = highlight = partial = True
 
-    def reflected(self, seen: Seen, cosine: np.ndarray) -> np.ndarray:
+    def reflected(self, seen: LobeView, cosine: np.ndarray) -> np.ndarray:
         """By Fresnel's equations."""
         return seen.color * mf.fresnel(cosine, seen.ior)[:, None]
 
-    def highlight_tint(self, seen: Seen) -> np.ndarray:
+    def highlight_tint(self, seen: LobeView) -> np.ndarray:
         """What it reflects at normal incidence."""
         return seen.color * (((seen.ior - 1) / (seen.ior + 1)) ** 2)[:, None]
 
 
-def facets(seen: Seen, smooth: np.ndarray, r: np.ndarray) -> np.ndarray:
+def facets(seen: LobeView, smooth: np.ndarray, r: np.ndarray) -> np.ndarray:
     """(m, 3) visible facet normals, z where `smooth`."""
     h = mf.visible_normal(seen.wo, seen.alpha, r[0], r[1])
     h[smooth] = (0, 0, 1)
     return h
 
 
-def mirrored(seen: Seen, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def mirrored(seen: LobeView, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """For wi (m, 3) above the surface: the facet normal h (m, 3) between wo and wi, the cosine (m,) to it, f |cos| (m,) if it is white."""
     h = seen.wo + wi
     h /= np.maximum(np.sqrt(mf.dot(h, h)), mf.TINY)[:, None]

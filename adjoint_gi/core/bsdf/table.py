@@ -22,7 +22,7 @@ from . import microfacet as mf
 from .coat import LARGEST, Coats
 from .curves import Grid, Mixture
 from .diffuse import cosine_directions, lambert
-from .lobe import LobeKind, Seen
+from .lobe import LobeKind, LobeView
 from .lobes import ALL_LOBES, DELTA_BELOW, KINDS, LOBES, NEARLY_DIFFUSE, PARTIAL, REFRACTING, present
 from .multiscatter import Gains
 
@@ -88,7 +88,7 @@ class Lobes:
         """Frame directions in the world."""
         return w[:, :1] * self.x + w[:, 1:2] * self.y + w[:, 2:3] * self.z
 
-    def each(self, which: tuple[np.ndarray, ...]) -> Iterator[tuple[int, LobeKind, np.ndarray, Seen]]:
+    def each(self, which: tuple[np.ndarray, ...]) -> Iterator[tuple[int, LobeKind, np.ndarray, LobeView]]:
         """The lobes of every slot and kind where `which` (one (n,) bool for each slot): slot, kind, rows (m,), and what is there."""
         for i, (slot, here) in enumerate(zip(self.slots, which, strict=True)):
             kind = np.where(here, slot.kind, np.int8(0))
@@ -96,12 +96,12 @@ class Lobes:
                 rows = np.flatnonzero(kind == k)
                 yield i, LOBES[k], rows, self.seen(i, rows)
 
-    def seen(self, i: int, rows: np.ndarray) -> Seen:
+    def seen(self, i: int, rows: np.ndarray) -> LobeView:
         """Slot `i` in some rows, all of one kind."""
         s = self.slots[i]
         color = s.color[rows]
         tint = color if s.tint is None else s.tint[rows]
-        return Seen(self.local[rows], color, s.alpha[rows], s.ior[rows], s.gain.take(rows), self.entering[rows], s.many[rows], tint)
+        return LobeView(self.local[rows], color, s.alpha[rows], s.ior[rows], s.gain.take(rows), self.entering[rows], s.many[rows], tint)
 
     def albedos(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Where lobes reflect only a part of their colour towards wo: slot, rows (m,), and the part (m,)."""
@@ -329,7 +329,7 @@ def evaluate(lobes: Lobes, wi: np.ndarray, p: np.ndarray | None = None) -> tuple
     return value.astype(np.float32), pdf.astype(np.float32)
 
 
-def gain_factor(kind: LobeKind, seen: Seen, wi: np.ndarray, gains: Gains) -> np.ndarray | np.float32:
+def gain_factor(kind: LobeKind, seen: LobeView, wi: np.ndarray, gains: Gains) -> np.ndarray | np.float32:
     """(m, 3) factor on single scattering that gives back what bounces again between microfacets; 1 where it is lost."""
     if not seen.gain.any():
         return np.float32(1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from . import microfacet as mf
-from .lobe import DELTA_ALPHA, Drawn, LobeKind, Seen
+from .lobe import DELTA_ALPHA, Drawn, LobeKind, LobeView
 from .reflection import facets, mirrored
 
 
@@ -17,7 +17,7 @@ class Refraction(LobeKind):
     passes = refracts = True
     two_sided = False
 
-    def evaluate(self, seen: Seen, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, seen: LobeView, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Below the surface, and above it what facets reflect."""
         value, pdf = np.zeros((len(wi), 3), np.float32), np.zeros(len(wi), np.float32)
         above = np.flatnonzero(wi[:, 2] > 0)
@@ -38,7 +38,7 @@ class Refraction(LobeKind):
         """(m,) share that a facet reflects."""
         return np.zeros(len(cosine), np.float32)
 
-    def _through(self, seen: Seen, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _through(self, seen: LobeView, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """f |cos| (m,) of white facets and pdf_w (m,) for wi below the surface."""
         o, a, e = seen.wo, seen.alpha, seen.eta
         h = -(o + e[:, None] * wi)
@@ -54,7 +54,7 @@ class Refraction(LobeKind):
         value = np.where(good, np.abs(co) * jacobian * (1 - f) * g * d / o[:, 2], 0)
         return value, np.where(good, (1 - f) * mf.visible_pdf(o, h, a) * jacobian, 0)
 
-    def sample(self, seen: Seen, smooth: np.ndarray, r: np.ndarray) -> Drawn:
+    def sample(self, seen: LobeView, smooth: np.ndarray, r: np.ndarray) -> Drawn:
         """A visible facet, and reflection or transmission at it. The choice between them cancels the share that a facet reflects."""
         eta, h = seen.eta, facets(seen, smooth, r)
         go = r[2] >= self._facet(mf.dot(seen.wo, h), eta)
@@ -63,7 +63,7 @@ class Refraction(LobeKind):
         wi[(go & (total | (wi[:, 2] >= 0))) | (~go & (wi[:, 2] <= 0))] = 0
         return Drawn(wi, seen.color)
 
-    def passed(self, seen: Seen) -> tuple[np.ndarray, np.ndarray]:
+    def passed(self, seen: LobeView) -> tuple[np.ndarray, np.ndarray]:
         """By Snell's law; nothing where it reflects totally."""
         up = np.zeros_like(seen.wo)
         up[:, 2] = 1
@@ -80,7 +80,7 @@ class Glass(Refraction):
     def _facet(self, cosine: np.ndarray, eta: np.ndarray) -> np.ndarray:
         return mf.fresnel(cosine, eta)
 
-    def reflected(self, seen: Seen, cosine: np.ndarray) -> np.ndarray:
+    def reflected(self, seen: LobeView, cosine: np.ndarray) -> np.ndarray:
         """By Fresnel's equations."""
         return seen.color * mf.fresnel(cosine, seen.eta)[:, None]
 
@@ -93,10 +93,10 @@ class Transparent(LobeKind):
     passes = True
     two_sided = False
 
-    def sample(self, seen: Seen, smooth: np.ndarray, r: np.ndarray) -> Drawn:
+    def sample(self, seen: LobeView, smooth: np.ndarray, r: np.ndarray) -> Drawn:
         """The only direction that there is."""
         return Drawn(-seen.wo, seen.color)
 
-    def passed(self, seen: Seen) -> tuple[np.ndarray, np.ndarray]:
+    def passed(self, seen: LobeView) -> tuple[np.ndarray, np.ndarray]:
         """All of it, straight on."""
         return -seen.wo, np.ones(len(seen.wo), np.float32)

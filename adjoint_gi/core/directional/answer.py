@@ -9,7 +9,7 @@ import numpy as np
 
 from ..base.parallel import in_order
 from ..bsdf import table as bsdf
-from ..elements.answer import ElementAnswer, Parts, Sums, sum_by_receiver
+from ..elements.answer import AnswerSums, ElementAnswer, Parts, sum_by_receiver
 from ..lights.direct import direct_irradiance
 from ..lights.emitters import Emitters
 from ..radiosity.lamp_light import receiver_light
@@ -26,7 +26,7 @@ PIECE = 1 << 13  # receiver points in one piece of work
 
 
 @dataclass(frozen=True, eq=False)
-class Light:
+class DirectionalLight:
     """Light of some path lengths on element sides: irradiance (n, 3); base (n, 3), what of it reaches the diffuse base; shine
     (n, size, 3), radiance that the other lobes send, by coefficients; exitance (n, 3), all that leaves, W m-2."""
 
@@ -36,11 +36,11 @@ class Light:
     exitance: np.ndarray
 
 
-def light_of(scattering: Scattering, arriving: np.ndarray) -> Light:
+def light_of(scattering: Scattering, arriving: np.ndarray) -> DirectionalLight:
     """What a field that arrives, (n, size, 3), means to receivers."""
     basis = scattering.basis
     shine = scattering.apply(arriving, diffuse=False)
-    return Light(basis.irradiance(arriving), scattering.below_coat(arriving), shine, basis.exitance(scattering.apply(arriving)))
+    return DirectionalLight(basis.irradiance(arriving), scattering.below_coat(arriving), shine, basis.exitance(scattering.apply(arriving)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ class DirectionalAnswer:
         self.sharp = self.camera and settings.direct_light == "receivers" and low <= 1 <= high
         self.rays = 0
         self._seen: list[_Seen] = []
-        self._sums = Sums(receivers.count)
+        self._sums = AnswerSums(receivers.count)
 
     def prepare(self) -> Iterator[float]:
         """Find all receiver points; yields the share done, 0 to 1, after each chunk."""
@@ -133,7 +133,7 @@ class DirectionalAnswer:
                 rays += found.rays
         return out, rays
 
-    def parts(self, direct: Light, indirect: Light) -> Parts:
+    def parts(self, direct: DirectionalLight, indirect: DirectionalLight) -> Parts:
         """The answer for light of path length 1 and of more. Camera: "elements" in `extra` is the radiosity of the elements."""
         if self.plain is not None:
             return self.plain.parts(direct.irradiance, indirect.irradiance)

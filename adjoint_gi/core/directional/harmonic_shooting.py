@@ -16,7 +16,7 @@ from .harmonics import HemisphereHarmonics
 from .rays import DirectionalRays
 from .scattering import Scattering
 
-BATCH = 1 << 13  # rays in one piece of work
+RAYS_PER_TASK = 1 << 13  # rays in one piece of work
 
 
 class HarmonicShooting:
@@ -117,7 +117,7 @@ class HarmonicShooting:
         plain = not coefficients[:, 1:].any()
 
         def work(first: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            part = slice(first, first + BATCH)
+            part = slice(first, first + RAYS_PER_TASK)
             side = index[who[part]]
             (a, b), w = self.caster.cosine(number[part], side)
             met, arrives = self.caster.trace(side, a, b, w)
@@ -126,7 +126,7 @@ class HarmonicShooting:
             radiance = mine if plain else np.einsum("na,nak->nk", self.basis.values(w), mine)
             return met, arrives, radiance
 
-        pieces = list(in_order(work, range(0, len(who), BATCH)))
+        pieces = list(in_order(work, range(0, len(who), RAYS_PER_TASK)))
         met, arrives, radiance = (np.concatenate([p[i] for p in pieces]) for i in range(3))
         flux = np.pi * self.area[index][who, None] * radiance / rays[who, None]
         if not plain:

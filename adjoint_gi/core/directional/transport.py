@@ -12,13 +12,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..base.parallel import in_order
-from ..elements.rays import BATCH, shifted_points
+from ..elements.rays import RAYS_PER_TASK, shifted_points
 from .bins import Bins
 from .pairs import PAIRS
 from .rays import DirectionalRays
 from .scattering import Scattering
 
-BLOCK = 1 << 17  # rays that are summed at once
+RAYS_PER_SUM = 1 << 17  # rays that are summed at once
 TOGETHER = 0.25  # sides that shoot together: those with this share of the largest unshot flux, or more
 
 
@@ -39,7 +39,7 @@ class DirectionalTransport:
     def cast(self) -> Iterator[float]:
         """Cast all rays, `rays` for every pair, stratified over the bin and the element; yields the share done."""
         k, per = self.bins.size, self.bins.size * self.rays
-        block = max(1, BATCH // per)
+        block = max(1, RAYS_PER_TASK // per)
         pieces = []
 
         def work(first: int) -> np.ndarray:
@@ -71,7 +71,7 @@ class DirectionalTransport:
 
     def blocks(self) -> Iterator[tuple[int, int]]:
         """Ranges of sides, whole elements each, that are worked on at once."""
-        step = 2 * max(1, BLOCK // (2 * self.bins.size * self.rays))
+        step = 2 * max(1, RAYS_PER_SUM // (2 * self.bins.size * self.rays))
         for first in range(0, self.count, step):
             yield first, min(first + step, self.count)
 

@@ -63,7 +63,7 @@ def element_count(world: World, receivers: Receivers, max_edge: float, target: i
     return own.count if own is not None else Elements.planned(world, max_edge, target)
 
 
-class Sums:
+class AnswerSums:
     """Sums over the points of `n` receivers: emitted, albedo, direct (n, 3) float64, and weight (n, 1), the number of points."""
 
     def __init__(self, n: int) -> None:
@@ -98,7 +98,7 @@ class ElementAnswer:
         self.rays = 0
         self.ready = 0.0
         self._sites: list[_Sites] = []
-        self._sums = Sums(receivers.count)
+        self._sums = AnswerSums(receivers.count)
 
     def prepare(self) -> Iterator[float]:
         """Find all receiver points; yields the share done, 0 to 1, after each chunk."""

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from ..base.errors import MemoryRefused
-from ..receivers.base import CHUNK, Points, Receivers
+from ..receivers.base import POINTS_PER_CHUNK, Points, Receivers
 from ..scene.arrays import SceneArrays
 from ..scene.world import Surface, World
 from .smooth import Nodes
@@ -176,8 +176,8 @@ class Elements:
         """(count, 3) float64 mean of `field(triangle, u, v)`, (n, 3), over each element: of several points where it `varies` inside."""
         out = np.zeros((self.count, 3))
         steps = (np.arange(COLOR_GRID) + 0.5) / COLOR_GRID if varies else np.array([0.25])
-        for a in range(0, self.count, CHUNK):
-            index = np.arange(a, min(a + CHUNK, self.count))
+        for a in range(0, self.count, POINTS_PER_CHUNK):
+            index = np.arange(a, min(a + POINTS_PER_CHUNK, self.count))
             for x in steps:
                 for y in steps:
                     out[index] += field(*self.point(index, np.full(len(index), x), np.full(len(index), y)))
@@ -286,8 +286,8 @@ class ElementReceivers(Receivers):
         """Four points a side, none of them on the edge of a sub-triangle."""
         quad_a, quad_b = np.array([0.25, 0.75, 0.25, 0.75]), np.array([0.25, 0.25, 0.75, 0.75])
         triangle_a, triangle_b = np.array([1 / 6, 2 / 3, 1 / 6, 1 / 3]), np.array([1 / 6, 1 / 6, 2 / 3, 1 / 3])
-        for first in range(0, self.count, CHUNK // 4):
-            receiver = np.repeat(np.arange(first, min(first + CHUNK // 4, self.count)), 4)
+        for first in range(0, self.count, POINTS_PER_CHUNK // 4):
+            receiver = np.repeat(np.arange(first, min(first + POINTS_PER_CHUNK // 4, self.count)), 4)
             quad = self.elements.is_quad[receiver[::4] >> 1, None]
             yield self._points(receiver, np.where(quad, quad_a, triangle_a).ravel(), np.where(quad, quad_b, triangle_b).ravel())
 

@@ -12,7 +12,7 @@ from ..sampling.maps import TWO_PI, polar
 from ..scene.arrays import RayKind
 from .elements import Elements
 
-BATCH = 1 << 15  # rays in one piece of work
+RAYS_PER_TASK = 1 << 15  # rays in one piece of work
 
 # Every side and every shot shifts the set by its own vector, itself from an additive sequence.
 BETA = np.sqrt([2.0, 3.0, 5.0, 7.0])
@@ -76,7 +76,7 @@ class ElementRays:
 
     def rows(self, sides: np.ndarray, rays: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Rays 0..`rays` from each of the sides, over threads, in order: pieces of (sides (m,), sides met (m, rays) int32)."""
-        block = max(1, BATCH // rays)
+        block = max(1, RAYS_PER_TASK // rays)
 
         def work(first: int) -> tuple[np.ndarray, np.ndarray]:
             part = sides[first : first + block]

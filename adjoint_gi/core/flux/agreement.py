@@ -38,7 +38,7 @@ LOUD = ("DISAGREE", "Too few repeats")  # how lines begin that must not be overl
 EVERY_LENGTH = (0, Settings().max_length)  # shortest and longest path; longer ones carry next to nothing
 MUCH = 0.1  # relative difference that should not pass as noise then
 ROUNDING = 1e-5  # float32 sums
-BATCH = 1 << 14
+PARTICLES_PER_BATCH = 1 << 14
 NODES = np.polynomial.legendre.leggauss(64)  # for the tail of Student's t
 
 
@@ -190,7 +190,7 @@ def shoot(
             here += np.bincount(at[on], arriving[on], g)
 
         rng = np.random.Generator(np.random.SFC64([seed, 15, k]))
-        rays += walk(world, emission.draw(BATCH, rng), max_length, rng, visit, table).rays
+        rays += walk(world, emission.draw(PARTICLES_PER_BATCH, rng), max_length, rng, visit, table).rays
         k += 1
         total += here
         squares += here**2

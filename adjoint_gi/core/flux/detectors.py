@@ -32,7 +32,7 @@ from ..scene.world import World
 from ..walks.particles import Hits, walk
 
 CAMERA_RAYS = 1 << 18  # that find what the camera sees
-BATCH = 1 << 15
+SAMPLES_PER_BATCH = 1 << 15
 LEAST = 16  # batches of particles, so that their spread tells the error
 
 
@@ -127,8 +127,8 @@ class CameraDetector(Detector):
         columns = max(1, round(np.sqrt(CAMERA_RAYS * self.eye.width / self.eye.height)))
         rows = max(1, CAMERA_RAYS // columns)
         total = np.zeros(2 * elements.count)
-        for first in range(0, rows * columns, BATCH):
-            k = np.arange(first, min(first + BATCH, rows * columns))
+        for first in range(0, rows * columns, SAMPLES_PER_BATCH):
+            k = np.arange(first, min(first + SAMPLES_PER_BATCH, rows * columns))
             lens = additive(k, STEPS[2])
             o, d = self.rays((k % columns + 0.5) / columns, (k // columns + 0.5) / rows, lens.astype(np.float32))
             triangle, u, v, t = self.world.intersect(o, d, RayKind.CAMERA)
@@ -244,7 +244,7 @@ def flux_by_particles(world: World, detect: FaceDetector, particles: int, max_le
         return Flux(np.stack([own, np.zeros(3), np.zeros(3)]), np.zeros((3, 3)))
     table = BsdfTable(world.scene)
     table = None if table.only_diffuse else table
-    batches = max(LEAST, -(-particles // BATCH))
+    batches = max(LEAST, -(-particles // SAMPLES_PER_BATCH))
     found = np.zeros((batches, 2, 3))
     for batch in found:
         _shoot(world, detect, emission, table, -(-particles // batches), max_length, rng, batch)

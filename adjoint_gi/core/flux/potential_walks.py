@@ -30,7 +30,7 @@ from ..walks.particles import Hits, walk
 from ..walks.paths import Gathered
 from .detectors import CameraDetector, FaceDetector
 
-BATCH = 1 << 14  # walks in a batch
+WALKS_PER_BATCH = 1 << 14  # walks in a batch
 FEWEST = 16  # batches, so that their spread tells the error
 
 
@@ -88,7 +88,7 @@ def walks_from_camera(
     """
     sides = 2 * elements.count
     table = scattering_table(world)
-    batches = max(FEWEST, -(-samples * sides // (2 * BATCH)))
+    batches = max(FEWEST, -(-samples * sides // (2 * WALKS_PER_BATCH)))
     n = -(-samples * sides // batches)
     seed = rng.integers(0, 1 << 63, 4).tolist()
 

@@ -96,13 +96,13 @@ class LightKind:
         """(c,) float64 power of each part of light `i` that shooting chooses between; one part unless the kind says otherwise."""
         return self.flux[i : i + 1].sum(axis=1)
 
-    def sources(self) -> list[Source]:
+    def sources(self) -> list[ParticleSource]:
         """Those that emit anything, for shooting."""
-        return [s for s in (Source(self, i) for i in range(len(self.names))) if s.power > 0]
+        return [s for s in (ParticleSource(self, i) for i in range(len(self.names))) if s.power > 0]
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class ParticleSource:
     """One light of a kind: where particles start. name; flux (3,) float64 W; cells (c,) float64 W and their sum, power."""
 
     kind: LightKind

@@ -20,7 +20,7 @@ from .emitters import Emitters
 
 INF = np.float32(np.inf)
 LEAST = np.float32(1e-12)  # density of rays that leave all emission to light points
-BATCH = 1 << 15
+POINTS_PER_BATCH = 1 << 15
 
 # What `World.intersect` returns: triangle, u, v and distance of each ray.
 Hit = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -158,8 +158,8 @@ def direct_irradiance(
     if not (drawn or met) or samples < 1:
         return out, 0
     faces = Faces(world) if met else None
-    for a in range(0, n, BATCH):
-        part = slice(a, min(a + BATCH, n))
+    for a in range(0, n, POINTS_PER_BATCH):
+        part = slice(a, min(a + POINTS_PER_BATCH, n))
         origin = columns(world.lifted(surface.position[part], surface.ng[part]))
         ng = columns(surface.ng[part])
         ns = ng if surface.ns is surface.ng else columns(surface.ns[part])

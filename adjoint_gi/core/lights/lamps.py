@@ -8,7 +8,7 @@ import numpy as np
 
 from ..scene.world import World
 from .area import AreaLights
-from .base import LampKind, LightKind, Sample, Seen, Source
+from .base import LampKind, LightKind, ParticleSource, Sample, Seen
 from .point import PointLights
 from .spot import SpotLights
 from .sun import SunLights
@@ -69,11 +69,11 @@ class Lamps:
             if len(found.rows):
                 yield i, found
 
-    def source(self, i: int) -> Source:
+    def source(self, i: int) -> ParticleSource:
         """Lamp `i`, for shooting."""
         kind: LightKind = self.kinds[self._kind[i]]
-        return Source(kind, int(self._row[i]))
+        return ParticleSource(kind, int(self._row[i]))
 
-    def sources(self) -> list[Source]:
+    def sources(self) -> list[ParticleSource]:
         """Those with some power, for shooting, in the order of the scene."""
         return [s for s in map(self.source, range(self.count)) if s.power > 0]

@@ -16,7 +16,7 @@ from ..elements.rays import ElementRays
 from .aligned import exact_pairs
 from .transports import MatrixTransport
 
-BLOCK = 512
+ROWS_PER_BLOCK = 512
 CLOSED = 1e-13  # rows are scaled until their sums are this close to 1
 NEWTON_STEPS = 8
 CG_STEPS = 200
@@ -94,8 +94,8 @@ class FactorMatrix:
         # 3. Reciprocity and closure, in exchange areas A_i F_ij.
         cast, reciprocity = yield from self._make_reciprocal(factors, mask, stretch, area)
         scale = yield from self._close(factors, area * sky, area)
-        for a in range(0, n, BLOCK):
-            rows = slice(a, a + BLOCK)
+        for a in range(0, n, ROWS_PER_BLOCK):
+            rows = slice(a, a + ROWS_PER_BLOCK)
             factors[rows] *= scale[rows, None] * scale / area[rows, None]
         self.transport = MatrixTransport(area, rho, factors, sky * scale)
         self.report = FactorReport(n * self.rays + rays, exact, cast, reciprocity, float(np.abs(scale - 1).max(initial=0.0)))
@@ -154,12 +154,12 @@ class FactorMatrix:
         n = len(area)
         change = weight = 0.0
         cast = 0
-        for a in range(0, n, BLOCK):
-            rows = slice(a, a + BLOCK)
+        for a in range(0, n, ROWS_PER_BLOCK):
+            rows = slice(a, a + ROWS_PER_BLOCK)
             factors[rows] *= np.where(mask[rows], 1.0, stretch[rows, None]) * area[rows, None]
-        for a in range(0, n, BLOCK):
-            for b in range(a, n, BLOCK):
-                rows, columns = slice(a, a + BLOCK), slice(b, b + BLOCK)
+        for a in range(0, n, ROWS_PER_BLOCK):
+            for b in range(a, n, ROWS_PER_BLOCK):
+                rows, columns = slice(a, a + ROWS_PER_BLOCK), slice(b, b + ROWS_PER_BLOCK)
                 upper, lower = factors[rows, columns], factors[columns, rows].T
                 mean = 0.5 * (upper + lower)
                 ray_cast = ~mask[rows, columns] & (mean > 0)

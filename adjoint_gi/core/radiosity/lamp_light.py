@@ -17,7 +17,7 @@ from ..scene.world import Surface, World
 from .settings import RadiositySettings
 
 POINTS = 4  # points of an element that look at the lights, times `light_samples`
-BATCH = 1 << 14
+POINTS_PER_BATCH = 1 << 14
 
 
 def receiver_light(world: World, emitters: Emitters, settings: RadiositySettings) -> Gather | None:
@@ -52,7 +52,7 @@ class LampLight:
         if not (self.emitters.any_drawn(self.mesh) or self.emitters.any_met(self.mesh)):
             return
         total = len(self.sides)
-        block = max(1, BATCH // self.points)
+        block = max(1, POINTS_PER_BATCH // self.points)
 
         def work(first: int) -> tuple[np.ndarray, np.ndarray, int]:
             sides = self.sides[first : first + block]

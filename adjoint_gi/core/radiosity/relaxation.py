@@ -17,7 +17,7 @@ from ..base.settings import NO_LIMIT
 from ..method.solution import EnergyBalance
 from .transports import MatrixTransport, Transport
 
-BLOCK = 64  # rows that Gauss-Seidel solves together
+ROWS_PER_BLOCK = 64  # rows that Gauss-Seidel solves together
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,13 +53,13 @@ def gauss_seidel(transport: MatrixTransport, emitted: np.ndarray, arriving: np.n
     n = len(rho)
     radiosity = emitted.copy()
     irradiance = np.zeros_like(emitted)
-    starts = range(0, n, BLOCK)
+    starts = range(0, n, ROWS_PER_BLOCK)
     # Row i of a block: H_i - sum_{j < i} F_ij rho_j H_j = F_i B (with the block's new part left out) + H0_i.
-    lower = [np.tril(factors[a : a + BLOCK, a : a + BLOCK], -1) for a in starts]
+    lower = [np.tril(factors[a : a + ROWS_PER_BLOCK, a : a + ROWS_PER_BLOCK], -1) for a in starts]
     for step in range(limit):
         change = np.zeros_like(emitted)
         for a, triangle in zip(starts, lower, strict=True):
-            b = slice(a, a + BLOCK)
+            b = slice(a, a + ROWS_PER_BLOCK)
             right = factors[b] @ radiosity + arriving[b] - triangle @ (radiosity[b] - emitted[b])
             if triangle.any():
                 matrix = np.eye(len(triangle)) - triangle * rho[b].T[:, None, :]

@@ -20,8 +20,9 @@ from ..base.settings import NO_LIMIT
 from ..method.solution import EnergyBalance
 from .transports import Transport
 
-BATCH = 1 << 16  # rays of the sides that shoot together, at least; more where there are more sides, as each group costs a look at all
-LARGEST_BATCH = 1 << 18
+# Of the sides that shoot together, at least; more where there are more sides, as each group costs a look at all of them.
+RAYS_PER_GROUP = 1 << 16
+MOST_RAYS_PER_GROUP = 1 << 18
 FEWEST, MOST = 8, 1 << 17  # rays of one shot
 AT_ONCE = 1 << 14  # sides that shoot together at most
 
@@ -67,9 +68,9 @@ class Grouping:
     most: int = MOST
 
     @classmethod
-    def for_sides(cls, sides: int, carriers: int, least: int = BATCH) -> Grouping:
+    def for_sides(cls, sides: int, carriers: int, least: int = RAYS_PER_GROUP) -> Grouping:
         """For so many element sides: a batch holds `least` rays, or more where there are more sides."""
-        return cls(carriers, int(np.clip(sides // 2, least, LARGEST_BATCH)))
+        return cls(carriers, int(np.clip(sides // 2, least, MOST_RAYS_PER_GROUP)))
 
     def rays(self, index: np.ndarray, flux: np.ndarray, total: float) -> np.ndarray:
         """(m,) int64 rays for sides `index` (m,) that send `flux` (m,) W of `total` W."""

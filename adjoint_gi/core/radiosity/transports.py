@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..base.parallel import in_order
-from ..elements.rays import BATCH, STREAMS, ElementRays
+from ..elements.rays import RAYS_PER_TASK, STREAMS, ElementRays
 
 
 class Transport:
@@ -152,10 +152,10 @@ class FreshRayTransport(Transport):
         self.count += len(who)
 
         def work(first: int) -> np.ndarray:
-            part = slice(first, first + BATCH)
+            part = slice(first, first + RAYS_PER_TASK)
             return self.rays.cast(side[part], number[part], stream[part])
 
-        met = np.concatenate(list(in_order(work, range(0, len(who), BATCH))))
+        met = np.concatenate(list(in_order(work, range(0, len(who), RAYS_PER_TASK))))
         share = self.area[index, None] * radiosity / rays[:, None]
         # Rays that escape are summed in one more bin, so that arrived and escaped come from the same sum.
         bins = np.where(met < 0, n, met)

@@ -11,7 +11,7 @@ from ..sampling.maps import disk
 from ..scene.arrays import RayKind
 from ..scene.world import World
 
-CHUNK = 1 << 15
+POINTS_PER_CHUNK = 1 << 15
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +78,8 @@ class SurfaceReceivers(Receivers):
     def sites(self) -> Iterator[Points]:
         """All points."""
         owner = np.repeat(np.arange(self.count), np.diff(self.start))
-        for a in range(0, len(owner), CHUNK):
-            b = slice(a, a + CHUNK)
+        for a in range(0, len(owner), POINTS_PER_CHUNK):
+            b = slice(a, a + POINTS_PER_CHUNK)
             yield Points(owner[b], self.triangle[b], self.u[b], self.v[b])
 
 
@@ -152,7 +152,7 @@ class CameraReceivers(Receivers):
         """A regular grid of rays in every pixel."""
         steps = (np.arange(self.grid) + 0.5) / self.grid
         dx, dy = (a.ravel() for a in np.meshgrid(steps, steps))
-        block = max(1, CHUNK // len(dx))
+        block = max(1, POINTS_PER_CHUNK // len(dx))
         for a in range(0, self.count, block):
             pixel = np.arange(a, min(a + block, self.count))
             receiver = np.repeat(pixel, len(dx))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-BLOCK = 1 << 20  # pixels looked at in one go
+PIXELS_PER_BLOCK = 1 << 20  # pixels looked at in one go
 
 
 def fill_margin(image: np.ndarray, covered: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
@@ -19,8 +19,8 @@ def fill_margin(image: np.ndarray, covered: np.ndarray, width: int) -> tuple[np.
     if width > 0 and covered.any():
         rows, cols = np.nonzero(~covered & _near(covered, width))
         left, right = _neighbours(covered)
-        for at in range(0, len(rows), BLOCK):
-            r, c = rows[at : at + BLOCK], cols[at : at + BLOCK]
+        for at in range(0, len(rows), PIXELS_PER_BLOCK):
+            r, c = rows[at : at + PIXELS_PER_BLOCK], cols[at : at + PIXELS_PER_BLOCK]
             source[r, c] = _nearest(left, right, r, c, width)
     out = np.array(image, np.float32)
     grown = (source >= 0) & ~covered

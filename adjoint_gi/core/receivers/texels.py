@@ -13,7 +13,7 @@ from ..scene.topology import uv_charts, weld
 from ..scene.world import World
 from .base import SurfaceReceivers
 
-CHUNK = 1 << 20  # candidate texels looked at in one go
+TEXELS_PER_CHUNK = 1 << 20  # candidate texels looked at in one go
 LARGEST = 16384  # texels a side
 MEMORY_LIMIT = 16 << 30  # bytes
 INSIDE = 1e-5  # barycentric distance that points keep from the edges: a ray must not start inside the wall at the end of a floor
@@ -81,7 +81,7 @@ class Lightmap:
 
 def memory(width: int, height: int, subsamples: int) -> int:
     """Bytes `rasterize` needs at most: dense points while it works, their compact copy, and one chunk of candidates."""
-    return width * height * (25 * subsamples + 60) + CHUNK * 300
+    return width * height * (25 * subsamples + 60) + TEXELS_PER_CHUNK * 300
 
 
 def sample_offsets(subsamples: int) -> np.ndarray:
@@ -256,12 +256,12 @@ def _candidates(xy: np.ndarray, work: np.ndarray, width: int, height: int) -> It
     slack = 1e-6
     low = np.clip(np.floor(xy[work, :, 1].min(axis=1) - slack), 0, height).astype(np.int64)
     high = np.clip(np.floor(xy[work, :, 1].max(axis=1) + slack) + 1, 0, height).astype(np.int64)
-    for some in _blocks(np.maximum(high - low, 0), CHUNK):
+    for some in _blocks(np.maximum(high - low, 0), TEXELS_PER_CHUNK):
         which, row = _expand(work[some], low[some], high[some])
         left, right = _row_extent(xy, which, row)
         first = np.clip(np.floor(left - slack), 0, width).astype(np.int64)
         last = np.where(right < left, first, np.clip(np.floor(right + slack) + 1, 0, width).astype(np.int64))
-        for part in _blocks(np.maximum(last - first, 0), CHUNK):
+        for part in _blocks(np.maximum(last - first, 0), TEXELS_PER_CHUNK):
             index, column = _expand(np.arange(part.start, part.stop), first[part], last[part])
             yield which[index], row[index], column
 

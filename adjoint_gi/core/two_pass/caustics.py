@@ -18,7 +18,7 @@ from ..scene.arrays import RayKind
 from ..walks.mirror_chains import Chains
 from .known_light import KnownLight
 
-BATCH = 1 << 14
+PARTICLES_PER_BATCH = 1 << 14
 FEWEST = 256  # particles of a lamp
 
 
@@ -53,7 +53,7 @@ class Caustics:
         """Yield the share done."""
         items = []
         for index, count in enumerate(self._counts):
-            items += [(index, first, min(first + BATCH, count)) for first in range(0, count, BATCH)]
+            items += [(index, first, min(first + PARTICLES_PER_BATCH, count)) for first in range(0, count, PARTICLES_PER_BATCH)]
         with closing(in_order(self._batch, items)) as results:
             for number, (found, rays) in enumerate(results):
                 self.rays += rays

@@ -15,7 +15,7 @@ from contextlib import closing
 import numpy as np
 
 from ..base.parallel import in_order
-from ..elements.rays import BATCH, ElementRays
+from ..elements.rays import RAYS_PER_TASK, ElementRays
 from ..radiosity.transports import FreshRayTransport, Transport
 from ..scene.arrays import RayKind
 from ..walks.mirror_chains import Chains
@@ -43,7 +43,7 @@ class ExtendedTransport(Transport):
     def build(self, sides: np.ndarray) -> Iterator[float]:
         """Cast the chains of `sides` (m,); yields the share done."""
         sends = (self.rho.max(axis=1) > 0) | (self.emitted.max(axis=1) > 0)
-        block = max(1, BATCH // self.per_side)
+        block = max(1, RAYS_PER_TASK // self.per_side)
         elements = self.rays.elements
 
         def work(first: int) -> tuple[list[list[tuple]], int]:
@@ -115,7 +115,7 @@ class ExtendedShots(FreshRayTransport):
         elements = self.rays.elements
 
         def work(first: int) -> tuple[list[tuple], np.ndarray, np.ndarray, int]:
-            part = slice(first, first + BATCH)
+            part = slice(first, first + RAYS_PER_TASK)
             origin, direction, _ = self.rays.start(side[part], number[part], side[part])
             flux = share[who[part]]
             found, other, escaped, cast = [], np.zeros(columns), np.zeros(columns), 0
@@ -130,7 +130,7 @@ class ExtendedShots(FreshRayTransport):
             return found, other, escaped, cast
 
         arrived, self.other, escaped = np.zeros((n, columns)), np.zeros(columns), np.zeros(columns)
-        for found, other, lost, cast in in_order(work, range(0, len(who), BATCH)):
+        for found, other, lost, cast in in_order(work, range(0, len(who), RAYS_PER_TASK)):
             for met, taken in found:
                 for c in range(columns):
                     arrived[:, c] += np.bincount(met, taken[:, c], n)

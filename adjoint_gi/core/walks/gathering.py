@@ -25,7 +25,7 @@ from ..receivers.film import Film, read_surfaces
 from ..scene.world import Surface, World
 from .paths import Gathered
 
-BATCH = 1 << 14  # samples in a batch
+SAMPLES_PER_BATCH = 1 << 14  # samples in a batch
 MOST_SAMPLES = 16  # of one receiver in a batch
 
 Estimate = Callable[[Surface, np.ndarray | None, np.random.Generator], Gathered]
@@ -84,7 +84,7 @@ class Run:
         return self.receivers.measure == "radiance"
 
     def steps(
-        self, estimate: Estimate | None, samples: int, rng: np.random.Generator, place: Place | None = None, batch: int = BATCH
+        self, estimate: Estimate | None, samples: int, rng: np.random.Generator, place: Place | None = None, batch: int = SAMPLES_PER_BATCH
     ) -> Iterator[Step]:
         """Random samples of every receiver, pass by pass, with a generator for each batch of `batch` samples, then the finished result.
 
@@ -124,7 +124,7 @@ class Run:
         yield from self._rest(reading, 1.0)
         yield from self.finish(f"{samples} samples")
 
-    def sites(self, estimate: Estimate, batch: int = BATCH) -> Iterator[Step]:
+    def sites(self, estimate: Estimate, batch: int = SAMPLES_PER_BATCH) -> Iterator[Step]:
         """Every receiver's fixed points once, `batch` at a time: for methods without random numbers.
 
         `estimate` gets a generator of fixed seed.
@@ -250,7 +250,7 @@ def sliced(chunks: Iterator[Points], batch: int) -> Iterator[Points]:
             yield Points(**(some | {"rays": points.rays if a == 0 else 0}))
 
 
-def batches(count: int, samples: int, batch: int = BATCH, even: bool = False) -> Iterator[tuple[int, int, int, int]]:
+def batches(count: int, samples: int, batch: int = SAMPLES_PER_BATCH, even: bool = False) -> Iterator[tuple[int, int, int, int]]:
     """(first receiver, last, samples, index of the first sample) of every batch, pass by pass; independent of the machine.
 
     A quick full pass first, of several samples at once where receivers are few, then passes of up to `MOST_SAMPLES`. `even`: the number

@@ -15,7 +15,7 @@ from ..bsdf import table as bsdf
 from ..bsdf.lobes import FIRST_PASS_LOBES, SHINY
 from ..scene.world import Surface, World
 from .radiance import leaving
-from .shooting import Arrived, Flight, Scattered, shoot
+from .shooting import Arrived, Departed, Flight, shoot
 
 ROULETTE = 4  # segments after which chains end at random
 
@@ -44,7 +44,7 @@ class Met:
 
 
 @dataclass(frozen=True, eq=False)
-class Mirrored(Scattered):
+class Mirrored(Departed):
     """Rays that go on; delta (k,) bool: by a perfectly smooth lobe."""
 
     delta: np.ndarray

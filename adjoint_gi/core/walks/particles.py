@@ -13,7 +13,7 @@ from ..sampling.maps import cosine_directions
 from ..scene.arrays import RayKind
 from ..scene.world import Surface, World
 from .radiance import leaving
-from .shooting import Arrived, Flight, Scattered, shoot
+from .shooting import Arrived, Departed, Flight, shoot
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ def walk(
 
 
 @dataclass(frozen=True, eq=False)
-class Decided(Scattered):
+class Decided(Departed):
     """Particles that go on; arriving, leaving (n, 3) as in `Hits`, and the power that shading normals added, W."""
 
     arriving: np.ndarray

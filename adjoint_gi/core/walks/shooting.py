@@ -35,7 +35,7 @@ class Arrived:
 
 
 @dataclass(frozen=True, eq=False)
-class Scattered:
+class Departed:
     """What goes on: rows (k,) of the rays that arrived, and their flight. A ray goes on as one ray at most."""
 
     rows: np.ndarray
@@ -49,7 +49,7 @@ class Segment:
 
     row: np.ndarray
     arrived: Arrived
-    scattered: Scattered
+    scattered: Departed
     away: np.ndarray
     lost: np.ndarray
 
@@ -59,7 +59,7 @@ class Segment:
         return len(self.row) + len(self.away)
 
 
-Scatter = Callable[[Arrived, np.random.Generator], Scattered]
+Scatter = Callable[[Arrived, np.random.Generator], Departed]
 
 
 def shoot(
