@@ -172,6 +172,14 @@ def prints(source: str, path: str) -> list[str]:
     ]
 
 
+def offsets(source: str, path: str) -> list[str]:
+    """Rays moved off their surface anywhere but in `World.lifted`; the sphere around the scene may ask how far that is."""
+    if path in ("adjoint_gi/core/scene/world.py", "adjoint_gi/core/lights/base.py"):
+        return []
+    nodes = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Attribute) and node.attr == "offset")
+    return [f"reads {ast.unparse(node)} in line {node.lineno}" for node in nodes if ast.unparse(node.value).endswith("world")]
+
+
 def version_checks(source: str, path: str) -> list[str]:
     """Comparisons of Blender's version outside the one file that is for them."""
     if path == "adjoint_gi/bridge/host/versions.py":
@@ -252,6 +260,7 @@ CHECKS = [
     (unsafe, PYTHON),
     (hidden_state, PRODUCT),
     (prints, BELOW),
+    (offsets, BELOW),
     (version_checks, PRODUCT),
     (overrides, PRODUCT),
     (identifiers, PYTHON),
@@ -294,6 +303,7 @@ BREACHES = [
     (hidden_state, "solvers/x.py", "np.add.at(a, i, b)"),
     (hidden_state, "adjoint_gi/bridge/x.py", "here = __file__"),
     (prints, "solvers/x.py", "print(1)"),
+    (offsets, "adjoint_gi/core/walks/x.py", "origin = position + self.world.offset * normal"),
     (version_checks, "operators/x.py", "new = bpy.app.version >= (5, 0, 0)"),
     (overrides, "operators/x.py", "with context.temp_override(window=window):\n    pass"),
     (identifiers, "solvers/x.py", "\u03c1 = 0.5"),
