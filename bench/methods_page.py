@@ -12,11 +12,14 @@ Needs no Blender.
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import importlib.util
+import inspect
 import json
 import math
 import sys
+import textwrap
 import time
 from pathlib import Path
 
@@ -162,6 +165,7 @@ def section(solver: Solver, numbers: dict) -> list[str]:
         cost = f"{n['seconds']} s, {n['rays']:,} rays, {n['memory_mb']} MB by its own statement"
         cost += f" ({changed})." if changed else "."
         out += [f"![{s.label}](pictures/methods/{s.id}.png)", "", f"Cost of this picture, {SIZE} x {SIZE} on two cores: {cost}", ""]
+    out += shown(solver)
     out += ["What it cannot do:", "", *(f"- {x}" for x in s.limits), ""]
     out += ["| setting | default | what it does |", "|---|---|---|"]
     for f in dataclasses.fields(solver.Settings):
@@ -170,6 +174,17 @@ def section(solver: Solver, numbers: dict) -> list[str]:
         out.append(f"| `{f.name}` | {f.default} | {text} |")
     out += ["", f'Reference: {s.authors}, "{s.title}", {s.year}.', ""]
     return out
+
+
+def shown(solver: Solver) -> list[str]:
+    """`solve` of a method, and each function of its module whose head names an equation, as they stand in the file."""
+    path = Path(inspect.getsourcefile(type(solver)))
+    text = path.read_text(encoding="utf-8")
+    functions = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.FunctionDef)]
+    chosen = [n for n in functions if n.name == "solve" or "Eq. " in (ast.get_docstring(n) or "").split("\n\n")[0]]
+    chosen.sort(key=lambda n: (n.name != "solve", n.lineno))
+    blocks = [textwrap.dedent("\n".join(text.splitlines()[n.lineno - 1 : n.end_lineno])) for n in chosen]
+    return [f"From [`solvers/{path.name}`](../solvers/{path.name}):", "", "```python", "\n\n".join(blocks), "```", ""]
 
 
 def page(numbers: dict) -> str:

@@ -103,6 +103,7 @@ class Distribution(Solver):
         emitters = Emitters(world)
         run = Run(self.spec, world, receivers, settings, emitters)
         tracer = DistributionTracer(world, emitters, receivers, settings, int(rng.integers(0, 1 << 32)))
+        # Lo = Le + light points + BRDF rays (Eq. 5), at the points of every sample.
         yield from run.steps(None, settings.samples, rng, tracer.place, tracer.batch)
 
 

@@ -88,6 +88,7 @@ class LocalIllumination(Solver):
         def estimate(surface: Surface, wo: np.ndarray | None, _: np.random.Generator) -> Gathered:
             return shade(world, points, table, surface, wo, settings)
 
+        # Lo = Le + ambient + lights (Eq. 6), at every receiver's fixed points.
         yield from run.sites(estimate, points.batch)
 
 

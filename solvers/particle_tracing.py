@@ -119,7 +119,7 @@ class ParticleTracing(Solver):
         for share in shot.score.prepare():
             yield from shot.clock.pause(Step(0.0, f"Finding receivers, {share:.0%}", shot.solution))
 
-        # Step 2: Phi = <W, Le> of all of them by the same particles (15), batch by batch.
+        # Step 2: Phi = <W, Le> of all of them by the same particles (Eq. 15), batch by batch.
         with closing(in_order(shot.batch, range(len(shot.sizes)))) as batches:
             for batch in batches:
                 shot.tally.add(batch)

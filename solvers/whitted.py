@@ -114,6 +114,7 @@ class Whitted(Solver):
             batch = max(1, min(batch, (1 << 20) >> min(deepest, 20)))
             reason = f"every ray is followed over up to {deepest} glass surfaces, each of which doubles the rays"
             notices += (Notice(self.spec.label, reason, "Raise contribution above 0 or lower depth if it takes too long"),)
+        # Lo = Le + lights + ambient + mirrored and refracted rays (Eq. 9), at every receiver's fixed points.
         yield from Run(self.spec, world, receivers, settings, emitters, notices).sites(tracer.estimate, batch)
 
 
