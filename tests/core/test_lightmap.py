@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import MemoryRefused, TargetError
+from adjgi.adjoint_gi.core.receivers import rasterize as raster
 from adjgi.adjoint_gi.core.receivers import texels as lightmap
 from adjgi.adjoint_gi.core.receivers.texels import Placement, rasterize
 from adjgi.adjoint_gi.core.scene import topology as charts
@@ -100,7 +101,7 @@ def test_results_do_not_depend_on_the_chunk_size(monkeypatch):
     b.mesh("Sphere", vertices, triangles, WHITE, uv=uv)
     world = World(b.build())
     whole = rasterize(world, [0], resolution=64, subsamples=3)
-    monkeypatch.setattr(lightmap, "TEXELS_PER_CHUNK", 100)
+    monkeypatch.setattr(raster, "TEXELS_PER_CHUNK", 100)
     parts = rasterize(world, [0], resolution=64, subsamples=3)
     assert np.array_equal(whole.receivers.triangle, parts.receivers.triangle)
     assert np.array_equal(whole.receivers.u, parts.receivers.u)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,12 +12,10 @@ from ..sampling.additive import STEPS, additive
 from ..scene.topology import uv_charts, weld
 from ..scene.world import World
 from .base import SurfaceReceivers
+from .rasterize import TEXELS_PER_CHUNK, UvTriangles, claim_places
 
-TEXELS_PER_CHUNK = 1 << 20  # candidate texels looked at in one go
 LARGEST = 16384  # texels a side
 MEMORY_LIMIT = 16 << 30  # bytes
-INSIDE = 1e-5  # barycentric distance that points keep from the edges: a ray must not start inside the wall at the end of a floor
-STRICT = 1e-3  # barycentric distance from the edges at which a point counts as inside two triangles at once
 
 
 @dataclass(frozen=True)
@@ -117,64 +115,24 @@ def rasterize(
 
     # Step 1: one list of UV triangles, in units of texels.
     triangle, uv, chart, charts = _gather(world, objects, uv_layer, placement or {})
-    xy = uv.astype(np.float64) * (width, height)
-    usable = np.isfinite(xy).all(axis=(1, 2)) & (np.abs(np.nan_to_num(xy)) < 2**40).all(axis=(1, 2))
-    xy[~usable] = 0.0
-    inside = (xy >= -1e-3).all(axis=(1, 2)) & (xy <= np.array([width, height]) + 1e-3).all(axis=(1, 2))
-    e1, e2 = xy[:, 1] - xy[:, 0], xy[:, 2] - xy[:, 0]
-    doubled = e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]
-    has_area = np.abs(doubled) > 1e-9 * np.maximum((e1**2).sum(1), (e2**2).sum(1)) + 1e-15
+    layout = UvTriangles.of(uv, width, height)
 
-    # Step 2: test the places of every candidate texel; `claim` holds 1 + position in the list, 0 is free.
-    offsets = sample_offsets(subsamples)
-    texels = width * height
-    claim = np.zeros(texels * subsamples, np.int32)
-    u = np.zeros(texels * subsamples, np.float32)
-    v = np.zeros(texels * subsamples, np.float32)
-    overlapping = np.zeros(texels, bool)
-    clash: list[np.ndarray] = []
-    work = np.flatnonzero(usable & has_area)
-    # Barycentrics are a = px * ax + py * ay and b = px * bx + py * by, with (px, py) from the triangle's first corner.
-    safe = np.where(has_area, doubled, 1.0)
-    slope = np.stack([e2[:, 1] / safe, -e2[:, 0] / safe, -e1[:, 1] / safe, e1[:, 0] / safe])
-    for which, row, column in _candidates(xy, work, width, height):
-        px, py = column - xy[which, 0, 0], row - xy[which, 0, 1]
-        ax, ay, bx, by = slope[:, which]
-        base_a, base_b = px * ax + py * ay, px * bx + py * by
-        for k, (dx, dy) in enumerate(offsets):
-            a, b = base_a + (dx * ax + dy * ay), base_b + (dx * bx + dy * by)
-            hit = np.flatnonzero((a >= -1e-9) & (b >= -1e-9) & (a + b <= 1 + 1e-9))
-            if not len(hit):
-                continue
-            place = (row[hit] * width + column[hit]) * subsamples + k
-            mine, a, b = which[hit] + 1, a[hit], b[hit]
-            # Assigned backwards, because of several equal indices numpy keeps the last: the lowest triangle stays.
-            free = np.flatnonzero(claim[place] == 0)[::-1]
-            claim[place[free]] = mine[free]
-            own = claim[place] == mine
-            u[place[own]], v[place[own]] = _kept_inside(a[own], b[own])
-            lost = np.flatnonzero(~own & (np.minimum(np.minimum(a, b), 1 - a - b) > STRICT))
-            if len(lost):
-                at = place[lost]
-                differ = _elsewhere(world, triangle, claim[at] - 1, u[at], v[at], mine[lost] - 1, a[lost], b[lost])
-                overlapping[at[differ] // subsamples] = True
-                clash.append(np.unique(np.concatenate([mine[lost[differ]] - 1, claim[at[differ]] - 1])))
+    # Step 2: test the places of every candidate texel.
+    claims = claim_places(world, triangle, layout, width, height, sample_offsets(subsamples))
 
     # Step 3: keep the places that are claimed, in the order of texels.
-    filled = claim > 0
-    many = filled.reshape(texels, subsamples).sum(axis=1, dtype=np.uint32)
+    filled = claims.holder > 0
+    many = filled.reshape(-1, subsamples).sum(axis=1, dtype=np.uint32)
     pixel = np.flatnonzero(many)
     if not len(pixel):
         names = ", ".join(world.scene.objects[i].name for i in objects)
         raise TargetError(names, "no texel of the lightmap lies on the surface", "Unwrap into the unit square, or raise the resolution")
     start = np.concatenate([[0], np.cumsum(many[pixel], dtype=np.int64)])
-    item = claim[filled]
-    del claim
-    item -= 1
-    u = u[filled]
-    v = v[filled]
-    del filled
-    chart_map = np.full(texels, -1, np.int32)
+    item = claims.holder[filled] - 1
+    u, v = claims.u[filled], claims.v[filled]
+    clashing, overlapping = claims.clashing, int(claims.overlapping.sum())
+    del claims, filled
+    chart_map = np.full(width * height, -1, np.int32)
     chart_map[pixel] = chart[item[start[:-1]]]
     receivers = SurfaceReceivers("texels", start, triangle[item], u, v)
 
@@ -182,14 +140,14 @@ def rasterize(
     tiny = owned < 2
     owner = world.scene.object[triangle] if len(triangle) else triangle
     problems = {
-        "overlap": np.unique(np.concatenate(clash)) if clash else np.zeros(0, int),
-        "outside": np.flatnonzero(~inside & usable),
-        "unusable": np.flatnonzero(~usable),
-        "no_area": np.flatnonzero(usable & ~has_area),
-        "tiny": np.flatnonzero(tiny[chart] & usable & has_area),
+        "overlap": clashing,
+        "outside": np.flatnonzero(~layout.inside & layout.usable),
+        "unusable": np.flatnonzero(~layout.usable),
+        "no_area": np.flatnonzero(layout.usable & ~layout.has_area),
+        "tiny": np.flatnonzero(tiny[chart] & layout.usable & layout.has_area),
     }
     counts = {
-        "overlap": int(overlapping.sum()),
+        "overlap": overlapping,
         "tiny": len(np.unique(chart[problems["tiny"]])),
         **{k: len(problems[k]) for k in ("outside", "unusable", "no_area")},
     }
@@ -244,81 +202,6 @@ def _gather(
         chart.append(labels + charts)
         charts += int(labels.max(initial=-1)) + 1
     return np.concatenate(triangle), np.concatenate(uv), np.concatenate(chart), charts
-
-
-def _candidates(xy: np.ndarray, work: np.ndarray, width: int, height: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Chunks of (triangle, row, column), each (m,) int64, that hold every texel touched by the triangles `work` of `xy` (nt, 3, 2).
-
-    A triangle is cut into rows and each row into the texels between its leftmost and rightmost point there, so a large triangle
-    costs what it covers and not what its bounding box holds. In order of the triangles.
-    """
-    # Float rounding must not lose a texel at a border: a little slack, and the exact test follows anyway.
-    slack = 1e-6
-    low = np.clip(np.floor(xy[work, :, 1].min(axis=1) - slack), 0, height).astype(np.int64)
-    high = np.clip(np.floor(xy[work, :, 1].max(axis=1) + slack) + 1, 0, height).astype(np.int64)
-    for some in _blocks(np.maximum(high - low, 0), TEXELS_PER_CHUNK):
-        which, row = _expand(work[some], low[some], high[some])
-        left, right = _row_extent(xy, which, row)
-        first = np.clip(np.floor(left - slack), 0, width).astype(np.int64)
-        last = np.where(right < left, first, np.clip(np.floor(right + slack) + 1, 0, width).astype(np.int64))
-        for part in _blocks(np.maximum(last - first, 0), TEXELS_PER_CHUNK):
-            index, column = _expand(np.arange(part.start, part.stop), first[part], last[part])
-            yield which[index], row[index], column
-
-
-def _kept_inside(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Barycentrics moved off the edges of the triangle by at least INSIDE, where they are closer."""
-    a, b = np.clip(a, INSIDE, 1 - 2 * INSIDE), np.clip(b, INSIDE, 1 - 2 * INSIDE)
-    excess = 0.5 * np.maximum(a + b - (1 - INSIDE), 0)
-    return a - excess, b - excess
-
-
-def _row_extent(xy: np.ndarray, which: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest and largest x (m,) of triangles `which` inside the slab row <= y <= row + 1."""
-    left, right = np.full(len(row), np.inf), np.full(len(row), -np.inf)
-    for k in range(3):
-        p, q = xy[which, k], xy[which, (k + 1) % 3]
-        dy = q[:, 1] - p[:, 1]
-        level = np.abs(dy) < 1e-12
-        safe = np.where(level, 1.0, dy)
-        t0, t1 = (row - 1e-6 - p[:, 1]) / safe, (row + 1 + 1e-6 - p[:, 1]) / safe
-        t0, t1 = np.minimum(t0, t1), np.maximum(t0, t1)
-        t0, t1 = np.where(level, 0.0, t0), np.where(level, 1.0, t1)
-        misses = (t1 < 0) | (t0 > 1) | (level & ((p[:, 1] < row - 1e-6) | (p[:, 1] > row + 1 + 1e-6)))
-        dx = q[:, 0] - p[:, 0]
-        x0, x1 = p[:, 0] + np.clip(t0, 0, 1) * dx, p[:, 0] + np.clip(t1, 0, 1) * dx
-        left = np.minimum(left, np.where(misses, np.inf, np.minimum(x0, x1)))
-        right = np.maximum(right, np.where(misses, -np.inf, np.maximum(x0, x1)))
-    return left, right
-
-
-def _expand(items: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each of `items` repeated for the numbers first..last-1 that belong to it, and these numbers."""
-    count = np.maximum(last - first, 0)
-    total = np.cumsum(count)
-    run = np.arange(int(total[-1]) if len(total) else 0) - np.repeat(total - count, count)
-    return np.repeat(items, count), np.repeat(first, count) + run
-
-
-def _blocks(count: np.ndarray, limit: int) -> Iterator[slice]:
-    """Slices of about `limit` (a single item may have more) summed `count`."""
-    total = np.cumsum(count)
-    at = 0
-    while at < len(count):
-        done = total[at - 1] if at else 0
-        stop = max(at + 1, int(np.searchsorted(total, done + limit, side="right")))
-        yield slice(at, stop)
-        at = stop
-
-
-def _elsewhere(
-    world: World, triangle: np.ndarray, i: np.ndarray, ui: np.ndarray, vi: np.ndarray, j: np.ndarray, uj: np.ndarray, vj: np.ndarray
-) -> np.ndarray:
-    """(n,) bool: whether two claims of one place are different surfaces: apart by 1e-5 of the scene, or facing another way."""
-    first = world.surface(triangle[i], ui.astype(np.float32), vi.astype(np.float32))
-    second = world.surface(triangle[j], uj.astype(np.float32), vj.astype(np.float32))
-    apart = np.linalg.norm(first.position - second.position, axis=1) > 1e-5 * world.size
-    return apart | (np.einsum("ij,ij->i", first.ng, second.ng) < 0.99)
 
 
 SENTENCES = {
