@@ -110,6 +110,14 @@ def test_without_a_variance_reduction_the_mean_is_the_same_and_the_noise_higher(
         assert noise(less) > 1.1 * noise(full)
 
 
+@pytest.mark.parametrize("off", SWITCHES)
+def test_furnace_is_closed_without_any_one_variance_reduction(off):
+    """Light points and rays find the same emission here: their weights must sum to 1, whatever density the rays have."""
+    world = World(scenes.cube(0.5, 0.5))
+    s = solve(world, scattered(world, 1500), samples=64, max_length=60, **{off: False})
+    check(s.quantity("irradiance"), [1.0] * 3, bias=0.002, resolution=0.02)
+
+
 def runs(world, receivers, count=12, **options):
     """(count, n) irradiance by independent seeds."""
     return np.array([solve(world, receivers, seed=seed, **options).quantity("irradiance")[:, 0] for seed in range(count)], float)

@@ -48,6 +48,8 @@ class LobeVertices:
         def respond(direction: np.ndarray) -> Response:
             wi = np.ascontiguousarray(direction.T)
             value, pdf = bsdf.evaluate(lobes, wi)
+            if self.walk.uniform:
+                pdf = even_density(lobes)  # that of the rays which share the light with these points
             # A light on the other side of the surface, geometric or shading, does not count.
             agrees = (np.einsum("ij,ij->i", wi, surface.ng) * sign > 0) & (np.einsum("ij,ij->i", wi, lobes.z) * sign > 0)
             return Response((value.max(axis=1) > 0) & agrees, pdf / share, 1 / share, value.T)
@@ -105,15 +107,21 @@ def lobes_of(walk: Walk, surface: Surface, wo: np.ndarray) -> bsdf.Lobes:
 def evenly(lobes: bsdf.Lobes, scattered: bsdf.Scattered, rng: np.random.Generator) -> bsdf.Scattered:
     """`scattered` with its directions of finite density replaced by ones uniform over the sphere."""
     p = bsdf.weights(lobes)
-    smooth = 1 - sum((p[i + 1] * slot.delta for i, slot in enumerate(lobes.slots)), np.zeros(len(lobes.wo), np.float32))
     wi = sphere(*rng.random((2, len(lobes.wo)), np.float32)).T
     value, _ = bsdf.evaluate(lobes, wi, p)
-    pdf = np.maximum(smooth, np.float32(1e-6)) / np.float32(4 * np.pi)
+    pdf = even_density(lobes, p)
     d = scattered.delta
     through = np.where(d, scattered.through, np.einsum("ij,ij->i", wi, lobes.z) < 0)
     wi = np.where(d[:, None], scattered.wi, wi).astype(np.float32)
     weight = np.where(d[:, None], scattered.weight, value / pdf[:, None])
     return bsdf.Scattered(wi, weight, np.where(d, 0, pdf), d, through, scattered.diffuse)
+
+
+def even_density(lobes: bsdf.Lobes, p: np.ndarray | None = None) -> np.ndarray:
+    """(n,) float32 density per solid angle of `evenly`; `p` are the `bsdf.weights` where they are known already."""
+    p = bsdf.weights(lobes) if p is None else p
+    smooth = 1 - sum((p[i + 1] * slot.delta for i, slot in enumerate(lobes.slots)), np.zeros(len(lobes.wo), np.float32))
+    return np.maximum(smooth, np.float32(1e-6)) / np.float32(4 * np.pi)
 
 
 def leaving(surface: Surface, scattered: bsdf.Scattered) -> np.ndarray:
