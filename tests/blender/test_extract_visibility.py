@@ -287,7 +287,7 @@ def test_what_the_viewport_lacks_is_named(build):
     assert build is quiet_host_off_in_the_viewport or (len(given) > len(arrays.objects) and set(listed(arrays)) <= set(given))
 
 
-def test_what_cannot_be_told_is_kept_and_named():
+def test_what_is_not_known_is_kept_and_named():
     """A link decides whether the collection is shown as a whole, as which it would lack the hidden object."""
     nodes_of_a_collection_with_a_hidden_object(True, scatter=True)
     tree = bpy.data.objects["host"].modifiers[0].node_group
@@ -296,7 +296,7 @@ def test_what_cannot_be_told_is_kept_and_named():
     info = next(n for n in tree.nodes if n.bl_idname == "GeometryNodeCollectionInfo")
     tree.links.new(value.outputs[0], info.inputs["Separate Children"])
     arrays = seen()
-    (notice,) = told(arrays, "a", "cannot be told")
+    (notice,) = told(arrays, "a", "is not known here")
     assert "host" in notice.reason and notice.remedy
     assert listed(arrays) == given_to_a_render()
 
