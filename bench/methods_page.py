@@ -33,12 +33,12 @@ if "adjgi" not in sys.modules:
 
 from adjgi import solvers  # noqa: E402
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements  # noqa: E402
+from adjgi.adjoint_gi.core.gallery.builder import diffuse  # noqa: E402
 from adjgi.adjoint_gi.core.images.png import write_png  # noqa: E402
 from adjgi.adjoint_gi.core.method.registry import Solver, method, methods  # noqa: E402
 from adjgi.adjoint_gi.core.method.solution import Solution  # noqa: E402
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, Receivers  # noqa: E402
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material, SceneArrays  # noqa: E402
-from adjgi.adjoint_gi.core.scene.builder import diffuse  # noqa: E402
 from adjgi.adjoint_gi.core.scene.world import World  # noqa: E402
 from adjgi.tests import scenes  # noqa: E402
 

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.solution import Solution
 from adjgi.adjoint_gi.core.receivers.base import SurfaceReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Light, SceneArrays
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 
 BLACK = diffuse("Black", 0.0)

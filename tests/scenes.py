@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material, SceneArrays
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 
 
 def cube(rho=0.5, emission=0.0, materials=None) -> SceneArrays:

@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.method.solution import Solution, Step
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, Receivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Camera, SceneArrays
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import load
 

@@ -17,9 +17,9 @@ from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
 from adjgi.adjoint_gi.bridge.host import background
 from adjgi.adjoint_gi.bridge.props.request import BakeRequest
 from adjgi.adjoint_gi.core.base.errors import AdjointError, TargetError, WriteError
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.driver import Driver
 from adjgi.adjoint_gi.core.receivers.base import SurfaceReceivers
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests.blender.fakes import Fake, FakeSettings, fake_method, square
 

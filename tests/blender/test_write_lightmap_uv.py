@@ -21,9 +21,9 @@ from adjgi.adjoint_gi.bridge.results.lightmap_uv import (
     shares_square,
 )
 from adjgi.adjoint_gi.core.base.errors import SceneError, TargetError
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.receivers import unwrap as module_unwrap
 from adjgi.adjoint_gi.core.receivers.texels import rasterize
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests.counting import counted
 

@@ -9,8 +9,8 @@ from adjgi.adjoint_gi.core.bsdf.diffuse import cosine_directions
 from adjgi.adjoint_gi.core.directional.bins import Bins
 from adjgi.adjoint_gi.core.directional.scattering import Scattering
 from adjgi.adjoint_gi.core.elements.elements import Elements
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder
 from adjgi.adjoint_gi.core.scene.shading import Shading
 from adjgi.adjoint_gi.core.scene.substitutes import as_diffuse
 from adjgi.adjoint_gi.core.scene.world import World

@@ -12,10 +12,10 @@ from adjgi.adjoint_gi.core.directional.rays import DirectionalRays
 from adjgi.adjoint_gi.core.directional.scattering import Scattering
 from adjgi.adjoint_gi.core.directional.transport import DirectionalTransport
 from adjgi.adjoint_gi.core.elements.elements import Elements
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.radiosity.relaxation import jacobi
 from adjgi.adjoint_gi.core.radiosity.transports import MatrixTransport
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
 

@@ -13,11 +13,11 @@ import pytest
 from adjgi.adjoint_gi.core.base import resources
 from adjgi.adjoint_gi.core.base.errors import AdjointError, MemoryRefused
 from adjgi.adjoint_gi.core.base.settings import Settings
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.driver import Driver
 from adjgi.adjoint_gi.core.method.registry import Solver
 from adjgi.adjoint_gi.core.method.solution import Solution, Step
 from adjgi.adjoint_gi.core.receivers.base import SurfaceReceivers
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 
 STEPS = 40

@@ -8,9 +8,9 @@ from adjgi.adjoint_gi.core.base.errors import MemoryRefused
 from adjgi.adjoint_gi.core.elements.answer import ElementAnswer, element_solution
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements, parallelograms
 from adjgi.adjoint_gi.core.elements.refinement import RefinedElements, contrast, over_base, smoothed
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material, RayKind, Source, Term, Texture
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
 

@@ -7,11 +7,11 @@ import math
 
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights.emission import Emission
 from adjgi.adjoint_gi.core.lights.outgoing import cone_directions
 from adjgi.adjoint_gi.core.sampling.maps import cosine_directions, disk
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, RayKind, Source, Term, Texture
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 
 # Standard deviations that a sound generator exceeds once in a thousand runs of the 40 z-tests and chi-square tests here (Sidak).

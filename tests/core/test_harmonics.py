@@ -17,7 +17,7 @@ from adjgi.adjoint_gi.core.directional.harmonics import (
     sphere_quadrature,
 )
 from adjgi.adjoint_gi.core.directional.pairs import Pairs, pairs
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder
 from adjgi.adjoint_gi.core.scene.world import World
 
 ORDER = 8

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import MemoryRefused, TargetError
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.receivers import rasterize as raster
 from adjgi.adjoint_gi.core.receivers import texels as lightmap
 from adjgi.adjoint_gi.core.receivers.texels import Placement, rasterize
 from adjgi.adjoint_gi.core.scene import topology as charts
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests.counting import counted
 from adjgi.tests.scenes import icosphere

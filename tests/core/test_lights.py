@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights.area import AreaLights
 from adjgi.adjoint_gi.core.lights.background import Background
 from adjgi.adjoint_gi.core.lights.base import FAR, LampKind, LightKind, bounding_radius
@@ -23,7 +24,6 @@ from adjgi.adjoint_gi.core.lights.spot import SpotLights
 from adjgi.adjoint_gi.core.lights.sun import SunLights
 from adjgi.adjoint_gi.core.sampling import maps
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, RayKind, Source, Term, Texture
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 
 # Standard deviations that sound lights exceed once in a thousand runs of the about 400 comparisons here (Sidak).

@@ -7,13 +7,13 @@ import pytest
 from adjgi.adjoint_gi.core.base.settings import NO_LIMIT
 from adjgi.adjoint_gi.core.elements.elements import Elements
 from adjgi.adjoint_gi.core.elements.rays import ElementRays
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.radiosity import form_factors as ff
 from adjgi.adjoint_gi.core.radiosity.factor_matrix import FactorMatrix
 from adjgi.adjoint_gi.core.radiosity.relaxation import gauss_seidel, jacobi, lengths
 from adjgi.adjoint_gi.core.radiosity.southwell import Southwell
 from adjgi.adjoint_gi.core.radiosity.transports import FreshRayTransport, MatrixTransport, RayTransport
 from adjgi.adjoint_gi.core.radiosity.trapped import trapped
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
 

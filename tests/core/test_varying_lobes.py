@@ -11,9 +11,9 @@ from adjgi.adjoint_gi.core.bsdf.multiscatter import Gains
 from adjgi.adjoint_gi.core.directional.bins import Bins
 from adjgi.adjoint_gi.core.directional.scattering import Scattering
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material, Source, Term, Texture
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import load
 

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import AdjointError
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.registry import Nature, method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.receivers.vertices import vertex_receivers
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, SceneArrays
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import MODULES, load
 from adjgi.tests import scenes

@@ -11,11 +11,11 @@ import dataclasses
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.bsdf import table as bsdf
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder
 from adjgi.adjoint_gi.core.lights.emission import Particles
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.sampling.maps import frame_rows
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks import radiance
 from adjgi.adjoint_gi.core.walks.particles import walk

@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.receivers.film import read_surfaces
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Light
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import path_tracing as module
 from adjgi.tests import scenes, solving

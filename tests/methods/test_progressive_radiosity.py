@@ -10,6 +10,7 @@ from adjgi.adjoint_gi.core.base.errors import SceneError
 from adjgi.adjoint_gi.core.elements.elements import Elements
 from adjgi.adjoint_gi.core.elements.mesh import element_mesh
 from adjgi.adjoint_gi.core.elements.refinement import RefinedElements
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights.direct import direct_irradiance
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import method
@@ -17,7 +18,6 @@ from adjgi.adjoint_gi.core.radiosity import importance as adaptive
 from adjgi.adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Light
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes, solving
 from adjgi.tests.solving import grid, on_elements, quad_points

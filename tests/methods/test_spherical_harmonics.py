@@ -17,6 +17,7 @@ from adjgi.adjoint_gi.core.directional.rays import DirectionalRays
 from adjgi.adjoint_gi.core.directional.run import leaving
 from adjgi.adjoint_gi.core.directional.scattering import Scattering
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights.background import Background
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import method
@@ -24,7 +25,6 @@ from adjgi.adjoint_gi.core.radiosity.southwell import Grouping, Southwell
 from adjgi.adjoint_gi.core.radiosity.transports import FreshRayTransport
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.radiance import Walk, gather, lobes_of
 from adjgi.tests import scenes, solving

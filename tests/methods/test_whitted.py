@@ -8,10 +8,10 @@ from functools import partial
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import SceneError
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material, Source, Term, Texture
-from adjgi.adjoint_gi.core.scene.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import whitted as module
 from adjgi.tests import scenes, solving

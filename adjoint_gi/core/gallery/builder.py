@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .arrays import Camera, Color, Light, Lobe, Material, ObjectArrays, Rgb, SceneArrays
+from ..scene.arrays import Camera, Color, Light, Lobe, Material, ObjectArrays, Rgb, SceneArrays
 
 
 def diffuse(name: str, albedo: float | Rgb, emission: float | Rgb = 0.0) -> Material:

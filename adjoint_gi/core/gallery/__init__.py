@@ -1,0 +1,1 @@
+"""Scenes built by hand, without Blender."""
