@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from adjgi.adjoint_gi.bridge.baking.bake import Bake, BakeRequest
 from adjgi.adjoint_gi.bridge.results.image import linked_image, read_pixels
-from adjgi.adjoint_gi.bridge.results.lightmap_uv import SHARED, STORED
+from adjgi.adjoint_gi.bridge.results.lightmap_uv import NAME, SHARED, STORED, make_lightmap_uvs
 from adjgi.adjoint_gi.bridge.results.links import ABOUT, RESULTS, link
 from adjgi.adjoint_gi.core.base.errors import AdjointError
 from adjgi.adjoint_gi.core.method import registry
@@ -78,6 +78,12 @@ def lightmaps(req: BakeRequest) -> dict[str, Baked]:
             pixels[..., :3], sheet.lightmap.share, whole, link(obj, req.quantity)["uv_layer"], sheet.lightmap, made.driver.world
         )
     return out
+
+
+def make_lightmap_uv(obj: bpy.types.Object, name: str = NAME, resolution: int = 512, padding: int = 4) -> str:
+    """Make (or renew) our UV layer on the original mesh of `obj` and return its name; see `make_lightmap_uvs`."""
+    make_lightmap_uvs([obj], resolution, (padding,), name)
+    return obj.data[STORED]
 
 
 def outlined(baked: Baked, boxes: Sequence[bpy.types.Object]) -> np.ndarray:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.flux.detectors import CameraDetector, Detector, Flux
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.method.solution import Solution, Step
@@ -98,6 +99,25 @@ def view(b: SceneBuilder, *camera: object, grid: int = 4, **options: object) -> 
     b.camera = look(*camera, **options)
     world = World(b.build())
     return world, CameraReceivers(world, grid=grid)
+
+
+# ---- fluxes
+
+
+def flux_by_radiance(detect: Detector, solution: Solution, elements: Elements | None = None) -> Flux:
+    """Phi = <L, g> (Eq. 3) from what a method found: for faces on element sides (`elements` are those of its receivers), for the camera
+    in its picture. Lamps and background that a camera sees are in its part 0, though they have no potential."""
+    none = np.zeros((3, 3))
+    if isinstance(detect, CameraDetector):
+        e = detect.eye
+        k = np.arange(e.count)
+        weight = detect.share(e.rays(k, np.full(e.count, 0.5), np.full(e.count, 0.5))[1]) / e.count
+        parts = (solution.emitted, solution.direct, solution.indirect)
+        return Flux(np.stack([weight @ p.astype(np.float64) for p in parts]), none)
+    weight = np.repeat(elements.area, 2) * detect.on_elements(elements)
+    rho = np.repeat(elements.albedo, 2, axis=0)
+    parts = (solution.emitted.astype(np.float64), rho * solution.direct, rho * solution.indirect)
+    return Flux(np.stack([weight @ p for p in parts]), none)
 
 
 # ---- comparisons

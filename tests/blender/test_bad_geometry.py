@@ -15,8 +15,8 @@ import pytest
 from adjgi.adjoint_gi.bridge.baking import preflight as module
 from adjgi.adjoint_gi.bridge.baking.bake import preflight
 from adjgi.adjoint_gi.bridge.cli import main as cli
-from adjgi.adjoint_gi.bridge.results.lightmap_uv import make_lightmap_uv
 from adjgi.tests import baking
+from adjgi.tests.baking import make_lightmap_uv
 from adjgi.tests.cycles_patch import add_light, diffuse_material
 from adjgi.tests.hostile import CUBE, SQUARE, Case, camera, good, mesh, play, put, room
 from mathutils import Matrix

@@ -8,11 +8,11 @@ import pytest
 from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from adjgi.adjoint_gi.bridge.results.attribute import write_attribute
 from adjgi.adjoint_gi.bridge.results.image import read_pixels, write_image
-from adjgi.adjoint_gi.bridge.results.lightmap_uv import make_lightmap_uv
 from adjgi.adjoint_gi.core.receivers.margin import fill_margin
 from adjgi.adjoint_gi.core.receivers.texels import join, rasterize
 from adjgi.adjoint_gi.core.receivers.vertices import vertex_receivers
 from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.tests.baking import make_lightmap_uv
 
 
 def mean_position(world, receivers):

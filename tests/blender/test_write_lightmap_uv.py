@@ -14,7 +14,6 @@ from adjgi.adjoint_gi.bridge.results.lightmap_uv import (
     check_uv_layer,
     find_uv_layer,
     in_one_square,
-    make_lightmap_uv,
     make_lightmap_uvs,
     paddings,
     remove_lightmap_uv,
@@ -25,6 +24,7 @@ from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.receivers import unwrap as module_unwrap
 from adjgi.adjoint_gi.core.receivers.texels import rasterize
 from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.tests.baking import make_lightmap_uv
 from adjgi.tests.counting import counted
 
 SHAPES = {

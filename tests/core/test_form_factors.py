@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.elements.elements import Elements
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.radiosity import form_factors as ff
 from adjgi.adjoint_gi.core.radiosity.aligned import exact_pairs
+from adjgi.adjoint_gi.core.radiosity.form_factors import parallel_exchange, perpendicular_exchange
 from adjgi.adjoint_gi.core.scene.world import World
-from adjgi.tests import scenes
+from adjgi.tests import closed_forms, scenes
 
 
 def near(value, tolerance=1e-13):
@@ -33,9 +33,9 @@ def spans(*pairs):
     ],
 )
 def test_parallel(a, b, c, factor):
-    assert ff.parallel_rectangles(a, b, c) == near(factor, 1e-12)
+    assert closed_forms.parallel_rectangles(a, b, c) == near(factor, 1e-12)
     x, y = spans((0, a), (0, b))
-    assert ff.parallel_exchange(x, y, x, y, np.array([float(c)]))[0] / (a * b) == near(factor, 1e-11)
+    assert parallel_exchange(x, y, x, y, np.array([float(c)]))[0] / (a * b) == near(factor, 1e-11)
 
 
 @pytest.mark.parametrize(
@@ -43,30 +43,30 @@ def test_parallel(a, b, c, factor):
     [(1, 1, 1, 0.20004377607540316), (1, 1, 2, 0.2328526027953619), (2, 1, 1, 0.11642630139768095), (1, 2, 1, 0.24063600617696168)],
 )
 def test_perpendicular(w, length, h, factor):
-    assert ff.adjacent_rectangles(w, length, h) == near(factor)
+    assert closed_forms.adjacent_rectangles(w, length, h) == near(factor)
     x, y, xi = spans((0, w), (0, length), (0, h))
-    assert ff.perpendicular_exchange(x, y, xi, y)[0] / (w * length) == near(factor)
+    assert perpendicular_exchange(x, y, xi, y)[0] / (w * length) == near(factor)
 
 
 def test_general_positions():
     unit, gap, beside = spans((0, 1), (0.5, 1.5), (1, 2))
-    assert ff.perpendicular_exchange(unit, unit, gap, unit)[0] == near(0.07613664042267773)
-    offset = ff.parallel_exchange(unit, unit, beside, unit, np.ones(1))[0]
+    assert perpendicular_exchange(unit, unit, gap, unit)[0] == near(0.07613664042267773)
+    offset = parallel_exchange(unit, unit, beside, unit, np.ones(1))[0]
     assert offset == near(0.08605048915232733)
     # T11: one square sees the square ahead and its mirror image.
-    assert offset + ff.parallel_rectangles(1, 1, 1) == near(0.2858753848507147)
+    assert offset + closed_forms.parallel_rectangles(1, 1, 1) == near(0.2858753848507147)
 
 
 def test_strips():
-    assert ff.parallel_rectangles(1000, 1, 1) == near(0.413934, 2e-6)
-    assert ff.adjacent_rectangles(1, 1000, 1) == near(0.292783, 2e-6)
+    assert closed_forms.parallel_rectangles(1000, 1, 1) == near(0.413934, 2e-6)
+    assert closed_forms.adjacent_rectangles(1, 1000, 1) == near(0.292783, 2e-6)
 
 
 def test_room_by_formulas():
-    floor_ceiling = ff.parallel_rectangles(4, 4, 3)
-    floor_wall = ff.adjacent_rectangles(4, 4, 3)
-    wall_floor, wall_wall = ff.adjacent_rectangles(3, 4, 4), ff.adjacent_rectangles(4, 3, 4)
-    across = ff.parallel_rectangles(4, 3, 4)
+    floor_ceiling = closed_forms.parallel_rectangles(4, 4, 3)
+    floor_wall = closed_forms.adjacent_rectangles(4, 4, 3)
+    wall_floor, wall_wall = closed_forms.adjacent_rectangles(3, 4, 4), closed_forms.adjacent_rectangles(4, 3, 4)
+    across = closed_forms.parallel_rectangles(4, 3, 4)
     assert floor_ceiling == near(0.2827327873974698)
     assert floor_wall == near(0.17931680315063253)
     assert wall_floor == near(0.23908907086751005)
@@ -78,10 +78,10 @@ def test_room_by_formulas():
 
 
 def test_disks():
-    assert ff.disks(1, 1, 1) == near((3 - 5**0.5) / 2)
-    assert ff.disks(1, 2, 1) == near(0.7639320225002102)
-    assert ff.disks(2, 1, 1) == near(0.19098300562505255)
-    assert ff.disks(0.5, 0.5, 1) == near(0.1715728752538097)
+    assert closed_forms.disks(1, 1, 1) == near((3 - 5**0.5) / 2)
+    assert closed_forms.disks(1, 2, 1) == near(0.7639320225002102)
+    assert closed_forms.disks(2, 1, 1) == near(0.19098300562505255)
+    assert closed_forms.disks(0.5, 0.5, 1) == near(0.1715728752538097)
 
 
 def square(z=1.0, low=0.0):
@@ -92,14 +92,14 @@ UP, ALONG, ORIGIN = np.array([[0, 0, 1.0]]), np.array([[1.0, 0, 0]]), np.zeros((
 
 
 def test_points_see_polygons():
-    assert ff.point_to_polygon(ORIGIN, UP, square())[0] == near(0.13853160599489298)
-    assert ff.point_to_polygon(np.array([[0.5, 0.5, 0]]), UP, square())[0] == near(0.23945647046077354)
-    assert ff.point_to_polygon(ORIGIN, ALONG, square())[0] == near(0.05573419700255351)
-    assert ff.point_to_polygon(ORIGIN, -UP, square())[0] == 0
+    assert closed_forms.point_to_polygon(ORIGIN, UP, square())[0] == near(0.13853160599489298)
+    assert closed_forms.point_to_polygon(np.array([[0.5, 0.5, 0]]), UP, square())[0] == near(0.23945647046077354)
+    assert closed_forms.point_to_polygon(ORIGIN, ALONG, square())[0] == near(0.05573419700255351)
+    assert closed_forms.point_to_polygon(ORIGIN, -UP, square())[0] == 0
     # A disk on the axis, as a polygon of 2,000 corners: r^2 / (r^2 + h^2).
     angle = np.linspace(0, 2 * np.pi, 2000, endpoint=False)
     disk = np.stack([np.cos(angle), np.sin(angle), np.full(2000, 2.0)], axis=1)[None]
-    assert ff.point_to_polygon(ORIGIN, UP, disk)[0] == near(0.2, 5e-6)
+    assert closed_forms.point_to_polygon(ORIGIN, UP, disk)[0] == near(0.2, 5e-6)
 
 
 def test_what_lies_below_the_horizon_does_not_count():
@@ -111,24 +111,24 @@ def test_what_lies_below_the_horizon_does_not_count():
         half = np.array([[corner, corner + a, corner + a + b, corner + b]])
         whole = np.array([[corner - 2 * b, corner + a - 2 * b, corner + a + b, corner + b]])
         sign = UP * np.sign(b[2])
-        assert ff.point_to_polygon(ORIGIN, sign, whole)[0] == near(ff.point_to_polygon(ORIGIN, sign, half)[0], 1e-9)
+        assert closed_forms.point_to_polygon(ORIGIN, sign, whole)[0] == near(closed_forms.point_to_polygon(ORIGIN, sign, half)[0], 1e-9)
 
 
 def test_area_integrals_and_triangle_halves():
-    assert ff.polygon_to_polygon(square(0.0), UP, square(), 8)[0] == near(0.19982489569838746, 1e-10)
+    assert closed_forms.polygon_to_polygon(square(0.0), UP, square(), 8)[0] == near(0.19982489569838746, 1e-10)
     halves = np.array([[(0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1, 0)], [(0, 0, 0), (1, 1, 0), (0, 1, 0), (0, 1, 0)]], float)
     to = np.repeat(square(), 2, axis=0)
-    parts = ff.polygon_to_polygon(halves, np.repeat(UP, 2, axis=0), to, 8)
+    parts = closed_forms.polygon_to_polygon(halves, np.repeat(UP, 2, axis=0), to, 8)
     assert parts.mean() == near(0.19982489569838746, 1e-9)
     # Halves of the target add up to the target.
     targets = halves + [0, 0, 1]
-    split = ff.polygon_to_polygon(np.repeat(square(0.0), 2, axis=0), np.repeat(UP, 2, axis=0), targets, 8)
+    split = closed_forms.polygon_to_polygon(np.repeat(square(0.0), 2, axis=0), np.repeat(UP, 2, axis=0), targets, 8)
     assert split.sum() == near(0.19982489569838746, 1e-10)
 
 
 def test_sphere_parts_close():
     area = np.array([1.0, 2.0, 4 * np.pi * 9 - 3])
-    f = ff.sphere_parts(area, 3.0)
+    f = closed_forms.sphere_parts(area, 3.0)
     assert np.allclose(f.sum(axis=1), 1, atol=1e-15)
 
 

@@ -9,7 +9,6 @@ from adjgi.adjoint_gi.core.bsdf import table as bsdf
 from adjgi.adjoint_gi.core.directional.harmonics import (
     HemisphereHarmonics,
     bands,
-    cosine_coefficients,
     harmonic_count,
     hemisphere_quadrature,
     real_harmonics,
@@ -35,6 +34,14 @@ def random_directions(n, seed=1):
 def random_rotation(seed):
     q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     return q * np.linalg.det(q)
+
+
+def cosine_coefficients(order):
+    """(order + 1,) A_l = 2 pi int_0^1 P_l(t) t dt of the clamped cosine: irradiance is the sum of A_l L_lm Y_lm(n)."""
+    w, weight = hemisphere_quadrature(order + 1)
+    l = np.arange(order + 1)  # noqa: E741
+    # Along the pole only m = 0 remains, and there Y_l0 = sqrt((2 l + 1) / (4 pi)) P_l.
+    return (weight * w[:, 2]) @ real_harmonics(order, w)[:, l * l + l] / np.sqrt((2 * l + 1) / (4 * np.pi))
 
 
 def test_clamped_cosine():

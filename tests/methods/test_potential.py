@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import AdjointError, MemoryRefused
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
-from adjgi.adjoint_gi.core.flux.detectors import detector, flux_by_radiance
+from adjgi.adjoint_gi.core.flux.detectors import detector
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
@@ -17,6 +17,7 @@ from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Mater
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import load
 from adjgi.tests import scenes
+from adjgi.tests.solving import flux_by_radiance
 
 load()
 # Standard deviations that a sound method exceeds once in a thousand runs of the z-tests here (Sidak, 40 of them).

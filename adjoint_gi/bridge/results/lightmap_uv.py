@@ -44,12 +44,6 @@ def find_uv_layer(obj: bpy.types.Object, name: str) -> str:
     return chosen
 
 
-def make_lightmap_uv(obj: bpy.types.Object, name: str = NAME, resolution: int = 512, padding: int = 4) -> str:
-    """Make (or renew) our UV layer on the original mesh of `obj` and return its name; see `make_lightmap_uvs`."""
-    make_lightmap_uvs([obj], resolution, (padding,), name)
-    return obj.data[STORED]
-
-
 def make_lightmap_uvs(objects: Sequence[bpy.types.Object], resolution: int, paddings: Sequence[int], name: str = NAME) -> list[Notice]:
     """Make (or renew) our UV layers on the original meshes of `objects`, packed into one square that all of them share.
 

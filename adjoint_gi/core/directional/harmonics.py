@@ -71,14 +71,6 @@ def bands(order: int) -> np.ndarray:
     return np.repeat(np.arange(order + 1), 2 * np.arange(order + 1) + 1)
 
 
-def cosine_coefficients(order: int) -> np.ndarray:
-    """(order + 1,) A_l = 2 pi int_0^1 P_l(t) t dt of the clamped cosine: irradiance is the sum of A_l L_lm Y_lm(n)."""
-    t, weight = np.polynomial.legendre.leggauss(order + 2)
-    t, weight = 0.5 * (t + 1), 0.5 * weight
-    legendre = np.polynomial.legendre.legvander(t, order)
-    return 2 * np.pi * (weight * t) @ legendre
-
-
 class HemisphereHarmonics:
     """The harmonics up to `order` with l + m even, times sqrt(2): h_a, orthonormal over the hemisphere of a side's frame.
 

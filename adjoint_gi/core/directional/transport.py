@@ -97,10 +97,6 @@ class DirectionalTransport:
         """T* y = V* S* y."""
         return self.spread(self.scattering.adjoint(y))
 
-    def inner(self, x: np.ndarray, y: np.ndarray) -> float:
-        """<x, y>: sum of area times projected solid angle times x y."""
-        return float(self.bins.solid * (self.area[:, None, None] * x * y).sum())
-
     def flux(self, x: np.ndarray) -> np.ndarray:
         """(n,) flux of a field, absolute values, the channels summed, W."""
         return self.bins.solid * self.area * np.abs(x).sum(axis=(1, 2))

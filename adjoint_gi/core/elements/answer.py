@@ -200,16 +200,6 @@ class ElementAnswer:
         return Parts(*(np.asarray(x, np.float32) for x in arrays), np.ones(2 * e.count, np.float32), self.rays)
 
 
-def element_solution(
-    elements: Elements, receivers: Receivers, direct: np.ndarray, indirect: np.ndarray, gather: Gather | None = None
-) -> Parts:
-    """`ElementAnswer` in one call, for a result that is wanted once."""
-    answer = ElementAnswer(elements, receivers, gather)
-    for _ in answer.prepare():
-        pass
-    return answer.parts(direct, indirect)
-
-
 def sum_by_receiver(receiver: np.ndarray, values: np.ndarray) -> tuple[int, np.ndarray]:
     """First receiver of the chunk and sums (k, c) float64 of `values` (n, c) from it on."""
     if not len(receiver):

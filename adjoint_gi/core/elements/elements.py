@@ -258,11 +258,6 @@ class Elements:
         """The grid vertices, shared where the surface is smooth; made at the first use."""
         return Nodes(self)
 
-    def interpolate(self, values: np.ndarray, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, side: np.ndarray) -> np.ndarray:
-        """(n, 3) smooth values at points on the given side (+1 or -1) from one value a side, `values` (2 count, 3)."""
-        element, a, b = self.cell(triangle, u, v)
-        return self.nodes.at(self.nodes.values(values), 2 * element + (side < 0), a, b)
-
 
 class ElementReceivers(Receivers):
     """The element sides themselves as receivers: receiver index is 2 * element, plus 1 for the back."""

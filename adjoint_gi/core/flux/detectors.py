@@ -24,7 +24,6 @@ from ..base.errors import SceneError, SettingsError
 from ..bsdf.table import BsdfTable
 from ..elements.elements import Elements
 from ..lights.emission import Emission, Particles
-from ..method.solution import Solution
 from ..receivers.base import CameraReceivers, Receivers
 from ..sampling.additive import STEPS, additive
 from ..scene.arrays import RayKind
@@ -207,22 +206,6 @@ class Flux:
     def arrays(self) -> dict[str, np.ndarray]:
         """For `Solution.extra`: "flux" and "flux_error", (3 path lengths, 3 colours) float64."""
         return {"flux": self.value, "flux_error": self.error}
-
-
-def flux_by_radiance(detect: Detector, solution: Solution, elements: Elements | None = None) -> Flux:
-    """Phi = <L, g> (Eq. 3) from what a method found: for faces on element sides (`elements` are those of its receivers), for the camera
-    in its picture. Lamps and background that a camera sees are in its part 0, though they have no potential."""
-    none = np.zeros((3, 3))
-    if isinstance(detect, CameraDetector):
-        e = detect.eye
-        k = np.arange(e.count)
-        weight = detect.share(e.rays(k, np.full(e.count, 0.5), np.full(e.count, 0.5))[1]) / e.count
-        parts = (solution.emitted, solution.direct, solution.indirect)
-        return Flux(np.stack([weight @ p.astype(np.float64) for p in parts]), none)
-    weight = np.repeat(elements.area, 2) * detect.on_elements(elements)
-    rho = np.repeat(elements.albedo, 2, axis=0)
-    parts = (solution.emitted.astype(np.float64), rho * solution.direct, rho * solution.indirect)
-    return Flux(np.stack([weight @ p for p in parts]), none)
 
 
 def flux_by_potential(elements: Elements, arriving: np.ndarray, parts: Sequence[np.ndarray]) -> Flux:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..sampling import maps as sampling
-from ..sampling.maps import PowerTable, columns, dot
+from ..sampling.maps import PowerTable, columns
 from .background import Background
 from .lamps import Lamps
 from .mesh import MeshLights
@@ -184,25 +184,6 @@ class Emitters:
             if pdf is not None:
                 radiance = radiance * sampling.power_heuristic(pdf[seen.rows], pick[i] * seen.pdf_w)
             out[:, seen.rows] += radiance
-        return out
-
-    def sample(self, position: np.ndarray, normal: np.ndarray, rng: np.random.Generator) -> LightSample:
-        """One light point, picked by power, for each ray origin `position` (n, 3) (see `World.leave`), lit on the side of `normal`."""
-        if not self.any_drawn():
-            n = len(position)
-            none = np.zeros(n, bool)
-            zero = np.zeros((n, 3), np.float32)
-            return LightSample(np.asarray(normal, np.float32), np.zeros(n, np.float32), zero, np.ones(n, np.float32), none, none, none)
-        s = self.draw(columns(position), rng.random((3, len(position)), np.float32))
-        radiance = s.radiance * (dot(s.wi, columns(normal)) > 0)
-        return LightSample(s.wi.T, s.distance, radiance.T, s.pdf_w, s.delta, s.shared, s.shadow)
-
-    def pdf(self, triangle: np.ndarray, direction: np.ndarray, distance: np.ndarray) -> np.ndarray:
-        """(n,) density per solid angle of `sample` for rays along `direction` (n, 3) that hit `triangle` at `distance`; 0 on what
-        does not emit and where `triangle` is -1 (the background)."""
-        out = np.zeros(len(triangle), np.float32)
-        hit = np.flatnonzero(np.asarray(triangle) >= 0)
-        out[hit] = self.pdf_met(triangle[hit], columns(direction[hit]), distance[hit])
         return out
 
     def along(self, origin: np.ndarray, direction: np.ndarray, distance: np.ndarray) -> np.ndarray:

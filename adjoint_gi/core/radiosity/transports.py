@@ -46,10 +46,6 @@ class Transport:
         """T* y = F* (rho y)."""
         return self.spread(self.rho * y)
 
-    def inner(self, x: np.ndarray, y: np.ndarray) -> float:
-        """<x, y> = sum over sides and channels of A x y."""
-        return float((self.area[:, None] * x * y).sum())
-
 
 class MatrixTransport(Transport):
     """All form factors in one dense matrix, with the share `sky` (n,) of each side's light that escapes."""
