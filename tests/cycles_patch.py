@@ -59,6 +59,20 @@ def add_light(kind: str, location=(0.0, 0.0, 2.0), rotation=(0.0, 0.0, 0.0), sca
     return obj
 
 
+def rendered(size):
+    """(size, size, 3) float32 render of the scene as it is set up, a square of so many pixels, row 0 at the bottom."""
+    r = bpy.context.scene.render
+    r.image_settings.file_format, r.image_settings.color_depth, r.image_settings.color_mode = "OPEN_EXR", "32", "RGB"
+    with tempfile.TemporaryDirectory() as folder:
+        r.filepath = os.path.join(folder, "picture.exr")
+        bpy.ops.render.render(write_still=True)
+        image = bpy.data.images.load(r.filepath)
+        flat = np.empty(size * size * 4, np.float32)
+        image.pixels.foreach_get(flat)
+        bpy.data.images.remove(image)
+    return flat.reshape(size, size, 4)[:, :, :3]
+
+
 def render_patch(at=(0.0, 0.0), width=2e-3, pixels=8, samples=64, bounces=0):
     """(pixels, pixels, 3) float32 radiance of the square of that width around `at` in z = 0, seen from just above."""
     scene = bpy.context.scene
@@ -72,17 +86,10 @@ def render_patch(at=(0.0, 0.0), width=2e-3, pixels=8, samples=64, bounces=0):
     r.engine, r.resolution_x, r.resolution_y, r.resolution_percentage = "CYCLES", pixels, pixels, 100
     c.device, c.samples, c.use_adaptive_sampling, c.use_denoising = "CPU", samples, False, False
     c.max_bounces, c.filter_width, c.sample_clamp_direct, c.sample_clamp_indirect = bounces, 0.01, 0.0, 0.0
-    r.image_settings.file_format, r.image_settings.color_depth, r.image_settings.color_mode = "OPEN_EXR", "32", "RGB"
-    with tempfile.TemporaryDirectory() as folder:
-        r.filepath = os.path.join(folder, "patch.exr")
-        bpy.ops.render.render(write_still=True)
-        image = bpy.data.images.load(r.filepath)
-        flat = np.empty(pixels * pixels * 4, np.float32)
-        image.pixels.foreach_get(flat)
-        bpy.data.images.remove(image)
+    picture = rendered(pixels)
     bpy.data.objects.remove(obj)
     scene.camera = previous
-    return flat.reshape(pixels, pixels, 4)[:, :, :3]
+    return picture
 
 
 def measured_irradiance(at=(0.0, 0.0), samples=1024, width=2e-3):

@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
 from adjgi.adjoint_gi.core.flux.detectors import CameraDetector, Detector, Flux
-from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.method.solution import Solution, Step
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, Receivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.scene.arrays import Camera, SceneArrays
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Light, SceneArrays
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import load
 
@@ -118,6 +118,21 @@ def flux_by_radiance(detect: Detector, solution: Solution, elements: Elements | 
     rho = np.repeat(elements.albedo, 2, axis=0)
     parts = (solution.emitted.astype(np.float64), rho * solution.direct, rho * solution.indirect)
     return Flux(np.stack([weight @ p for p in parts]), none)
+
+
+def lamp_in_a_closed_box(solve: Callable[[ElementReceivers], Solution]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """CIE 5.8, a point lamp in a cube of albedo 0.5: (3,) W of the lamp, arriving directly and indirectly; backs must stay dark.
+
+    Indirect light is rho / (1 - rho) times the direct, so that all three are equal.
+    """
+    b = SceneBuilder()
+    b.box("Box", (0, 0, 0), (4, 4, 4), diffuse("Wall", 0.5), inward=True)
+    b.light(Light("Lamp", "point", (10.0, 20.0, 30.0), position=(2, 2, 2)))
+    receivers = on_elements(b.build(), 1.0)
+    s = solve(receivers)
+    assert not s.direct[1::2].any()
+    area = receivers.elements.area
+    return 4 * np.pi * np.array([10, 20, 30]), area @ s.direct[0::2], area @ s.indirect[0::2]
 
 
 # ---- comparisons

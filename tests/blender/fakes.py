@@ -11,8 +11,9 @@ import numpy as np
 from adjgi.adjoint_gi.core.base.errors import Notice, SceneError
 from adjgi.adjoint_gi.core.base.settings import Settings, setting
 from adjgi.adjoint_gi.core.method import registry
-from adjgi.adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy
+from adjgi.adjoint_gi.core.method.registry import Nature, Solver, Strategy
 from adjgi.adjoint_gi.core.method.solution import EnergyBalance, Solution, Step
+from adjgi.tests.specs import spec_of
 
 WORDS = (("fine", "Fine", "All goes well."), ("fails", "Fails", "It raises in the middle."))
 
@@ -34,17 +35,12 @@ class FakeSettings(Settings):
 class Fake(Solver):
     """Irradiance 1, 2, 3 in the channels times the share of steps done; `elements` is 7."""
 
-    spec = MethodSpec(
-        id="fake",
-        number=990,
-        label="Fake",
-        strategies=(Strategy.SHOOTING,),
-        natures=(Nature.DETERMINISTIC,),
-        year=1999,
-        authors="Nobody",
-        title="Nothing",
+    spec = spec_of(
+        "fake",
+        990,
+        Strategy.SHOOTING,
+        Nature.DETERMINISTIC,
         equation="L = 1",
-        section="0",
         idea="Counts to the number of steps.",
         limits=("solves nothing at all, which takes a rather long sentence to say and therefore must be broken into lines",),
         lobes=frozenset({"diffuse"}),

@@ -11,7 +11,6 @@ normals at the outline, which is another matter. Noise is measured: both rendere
 from __future__ import annotations
 
 import os
-import tempfile
 import zlib
 
 import bpy
@@ -24,7 +23,7 @@ from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import path_tracing  # noqa: F401
 from adjgi.tests import baking
-from adjgi.tests.cycles_patch import add_light, empty_material, shader_material, white_plane
+from adjgi.tests.cycles_patch import add_light, empty_material, rendered, shader_material, white_plane
 
 import bmesh  # importable only after bpy  # isort: skip
 
@@ -158,19 +157,11 @@ def cycles_picture(seed):
     """(SIZE, SIZE, 3) float64 radiance by Cycles, row 0 at the bottom."""
     scene = bpy.context.scene
     baking.use_cycles(scene, LENGTH)
-    r, c = scene.render, scene.cycles
+    c = scene.cycles
     c.samples, c.seed, c.transparent_max_bounces, c.blur_glossy = SAMPLES, seed, LENGTH, 0.0
     c.caustics_reflective = c.caustics_refractive = True
     c.pixel_filter_type, c.filter_width = "BOX", 1.0
-    r.image_settings.file_format, r.image_settings.color_depth, r.image_settings.color_mode = "OPEN_EXR", "32", "RGB"
-    with tempfile.TemporaryDirectory() as folder:
-        r.filepath = os.path.join(folder, "ball.exr")
-        bpy.ops.render.render(write_still=True)
-        image = bpy.data.images.load(r.filepath)
-        flat = np.empty(SIZE * SIZE * 4, np.float32)
-        image.pixels.foreach_get(flat)
-        bpy.data.images.remove(image)
-    return flat.reshape(SIZE, SIZE, 4)[:, :, :3].astype(np.float64)
+    return rendered(SIZE).astype(np.float64)
 
 
 def our_picture(world, seed):

@@ -3,9 +3,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
-
 import bpy
 import numpy as np
 import pytest
@@ -14,7 +11,7 @@ from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import distribution  # noqa: F401
-from adjgi.tests.cycles_patch import shader_material, white_plane
+from adjgi.tests.cycles_patch import rendered, shader_material, white_plane
 
 SIZE = 48
 
@@ -82,15 +79,7 @@ def cycles_picture():
     r.engine = "CYCLES"
     c.device, c.samples, c.use_adaptive_sampling, c.use_denoising, c.max_bounces = "CPU", 1024, False, False, 0
     c.pixel_filter_type, c.filter_width = "BOX", 1.0
-    r.image_settings.file_format, r.image_settings.color_depth, r.image_settings.color_mode = "OPEN_EXR", "32", "RGB"
-    with tempfile.TemporaryDirectory() as folder:
-        r.filepath = os.path.join(folder, "blur.exr")
-        bpy.ops.render.render(write_still=True)
-        image = bpy.data.images.load(r.filepath)
-        flat = np.empty(SIZE * SIZE * 4, np.float32)
-        image.pixels.foreach_get(flat)
-        bpy.data.images.remove(image)
-    return flat.reshape(SIZE, SIZE, 4)[:, :, 0].astype(float)
+    return rendered(SIZE)[:, :, 0].astype(float)
 
 
 @pytest.mark.parametrize(

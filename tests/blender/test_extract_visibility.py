@@ -24,6 +24,12 @@ __all__ = ["engine"]
 pytestmark = pytest.mark.usefixtures("engine")
 
 
+def on_vertices(parent, child):
+    """`child`, which `parent` shows on each of its vertices."""
+    child.parent, parent.instance_type = parent, "VERTS"
+    return child
+
+
 # ---- what can be decided in the viewport: each case builds a scene that a render lists as it is extracted
 
 
@@ -170,16 +176,13 @@ def particles_of_a_hidden_collection():
 
 
 def hidden_child_on_vertices():
-    parent = points("parent")
-    child = plane("child")
-    child.parent, parent.instance_type, child.hide_render = parent, "VERTS", True
+    on_vertices(points("parent"), plane("child")).hide_render = True
     plane("shown")
 
 
 def hidden_child_on_vertices_in_a_collection():
     group = collection("group", in_scene=False)
-    parent, child = plane("parent", group), plane("child", group)
-    child.parent, parent.instance_type, child.hide_render = parent, "VERTS", True
+    on_vertices(plane("parent", group), plane("child", group)).hide_render = True
     empty("instance", group)
 
 
@@ -259,9 +262,7 @@ def instancer_off():
 
 
 def child_on_vertices_off():
-    parent = points("parent")
-    child = plane("lost")
-    child.parent, parent.instance_type, child.hide_viewport = parent, "VERTS", True
+    on_vertices(points("parent"), plane("lost")).hide_viewport = True
     plane("shown")
 
 

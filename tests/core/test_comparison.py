@@ -20,10 +20,11 @@ from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
 from adjgi.adjoint_gi.core.flux.agreement import groups_of
 from adjgi.adjoint_gi.core.method import registry
 from adjgi.adjoint_gi.core.method.driver import Driver
-from adjgi.adjoint_gi.core.method.registry import MethodSpec, Nature, Solver, Strategy
+from adjgi.adjoint_gi.core.method.registry import Nature, Solver, Strategy
 from adjgi.adjoint_gi.core.method.solution import Solution, Step
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
+from adjgi.tests.specs import spec_of
 
 STEP = 0.004  # seconds of a step
 RAYS = 1000  # of a step
@@ -63,17 +64,12 @@ class Counting(Solver):
     """Irradiance 1 + bias + noise / sqrt(steps) in every channel; the noise is +1 on even receivers and -1 on odd ones."""
 
     Settings = CountSettings
-    spec = MethodSpec(
-        id="counting",
-        number=901,
-        label="Counting",
-        strategies=(Strategy.GATHERING,),
-        natures=(Nature.NONDETERMINISTIC,),
-        year=1999,
-        authors="Nobody",
-        title="Nothing",
+    spec = spec_of(
+        "counting",
+        901,
+        Strategy.GATHERING,
+        Nature.NONDETERMINISTIC,
         equation="E = 1",
-        section="0",
         idea="Counts.",
         limits=("none",),
         lobes=frozenset({"diffuse", "emission"}),
