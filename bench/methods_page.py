@@ -192,8 +192,8 @@ def page(numbers: dict) -> str:
     lines = [
         "# Methods",
         "",
-        "Every method of the review in its place: which of the two adjoint equations it solves (gathering or shooting) and how",
-        "(deterministic or nondeterministic). Written by `python bench/methods_page.py` from the registry. The pictures show one",
+        "The methods of the review and one more, in their place: which of the two adjoint equations each solves (gathering or shooting)",
+        "and how (deterministic or nondeterministic). Written by `python bench/methods_page.py` from the registry. The pictures show one",
         "scene: a mirror block, a glossy block and a ball of glass, so that what a method leaves out can be seen.",
         "",
         "| method | strategy | nature | year | authors |",

@@ -9,8 +9,8 @@ MODULES: tuple[str, ...] = (
     "local_illumination",
     "whitted",
     "matrix_radiosity",
-    "directional_radiosity",
-    "two_pass",
+    "directional_radiosity",  # shooting, too, by setting
+    "two_pass",  # the second pass is nondeterministic
     # Gathering, nondeterministic.
     "distribution",
     "irradiance_cache",
@@ -21,8 +21,9 @@ MODULES: tuple[str, ...] = (
     # Shooting, nondeterministic.
     "particle_tracing",
     "stochastic_jacobi",
-    # Both.
+    # Shooting, then gathering; both natures.
     "multi_pass",
+    # Shooting, either nature.
     "potential",
 )
 

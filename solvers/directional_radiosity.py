@@ -1,12 +1,13 @@
-"""Direction discretisation (Immel, Cohen and Greenberg 1986; review, section 5.2).
+"""Direction discretisation (Immel, Cohen and Greenberg 1986; review, section 5.2.1 (ii)).
 
 Gathering or shooting, deterministic. Radiosity for surfaces that are not diffuse: the unknown is the radiance L(i, d) that side i of an
 element sends into bin d of its hemisphere, and all of them make one sparse linear system:
 
-    I(i, d') = mean over rays of L(j, e) + I0(i, d'),     L(i, d) = E(i) + sum_d' S(i, d, d') I(i, d')
+    I(i, d') = sum_j,e V(i, d', j, e) L(j, e) + I0(i, d'),     L(i, d) = E(i) + sum_d' S(i, d, d') I(i, d')
 
-with rays from every pair (i, d'), each of which meets one pair (j, e), and S the BRDF between bins. It is the radiance equation (1) with
-Eq. 10 and 11 as its diffuse case. Gathering relaxes its rows (Jacobi, Gauss-Seidel), shooting its columns (Southwell); the limit is one.
+with V the share of the rays of pair (i, d') that meet pair (j, e), I0 the light of lamps and background, and S the BRDF between bins. It
+is the radiance equation (1), with Eq. 10 and 11 as its diffuse case. Gathering relaxes its rows (Jacobi, Gauss-Seidel), shooting its
+columns (Southwell); the limit is one.
 
 D. S. Immel, M. F. Cohen and D. P. Greenberg, "A Radiosity Method for Non-Diffuse Environments", Computer Graphics (SIGGRAPH '86
 Proceedings), 20(4), 1986, 133-142.
@@ -76,7 +77,7 @@ class DirectionalRadiosity(Solver):
         authors="D. S. Immel, M. F. Cohen, D. P. Greenberg",
         title="A Radiosity Method for Non-Diffuse Environments",
         equation="L(i, d) = E(i) + sum_d' S(i, d, d') sum_j,e V(i, d', j, e) L(j, e)  (1, with 10 and 11 as its diffuse case)",
-        section="5.2",
+        section="5.2.1 (ii)",
         idea="Every element keeps one radiance for each bin of directions; elements and directions together make one sparse linear system.",
         lobes=ALL_LOBES,
         limits=lines("""
@@ -110,7 +111,7 @@ class DirectionalRadiosity(Solver):
             yield from run.pause(0.0, "Scattering between direction bins")
         yield from run.stage(run.answer.prepare(), 0.0, 0.2, "Receivers and direct light", run.pause)
 
-        # 2. I0(i, d): light of lamps, by bins.
+        # 2. I0(i, d'): light of lamps, by bins.
         arriving = run.field()
         yield from run.stage(run.lamps.run(run.into(arriving)), 0.2, 0.3, "Light of lamps on elements", run.pause)
 

@@ -1,6 +1,6 @@
 """Irradiance caching (Ward, Rubinstein and Clear 1988; review, section 6.1): distribution ray tracing that remembers.
 
-Gathering, nondeterministic. On diffuse surfaces the interreflected part of Eq. 9 is reflectance times irradiance,
+Gathering, nondeterministic. On diffuse surfaces the interreflected part of Eq. 5 (the review says 9) is reflectance times irradiance,
 
     int fr Lr cos dw = fd int Lr cos dw = fd * irradiance,
 

@@ -103,7 +103,7 @@ def shade(world: World, points: LightPoints, table: BsdfTable, surface: Surface,
         lobes = table.at(surface.triangle, surface.u, surface.v, surface.ns, surface.side, wo)
         for wi, cosine, radiance, solid_angle, cast in points.at(world, surface, s.shadows):
             rays += cast
-            # Bouknight (7): k_d Le(j) cos theta(j), with k_d = albedo / pi.
+            # Bouknight (7) in watts: k_d / pi times the irradiance Le(j) cos theta(j) dw(j), with k_d the albedo.
             received = radiance * (cosine * solid_angle)[:, None]
             direct += received * lobes.diffuse / np.float32(np.pi)
             # Phong (8) adds k_s Le(j) cos^n alpha(j), without the cosine of incidence; Cook et al. have the cosine here, too.

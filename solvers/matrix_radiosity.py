@@ -61,7 +61,7 @@ class MatrixRadiosity(Solver):
         year=1984,
         authors="C. M. Goral, K. E. Torrance, D. P. Greenberg, B. Battaile",
         title="Modeling the Interaction of Light Between Diffuse Surfaces",
-        equation="B(i) = E(i) + rho(i) sum_j F(ij) B(j)  (10, 11)",
+        equation="B(i) = E(i) + rho(i) sum_j F(ij) B(j)  (11)",
         section="5.2",
         idea="Every element gathers from all others; the form factors make one linear system, which is relaxed.",
         lobes=DIFFUSE_LOBES,
@@ -109,7 +109,7 @@ class MatrixRadiosity(Solver):
         refuse_trapped(elements, sides, matrix.transport)
         system = System(matrix.transport, run.emitted[sides], light[sides], s.min_length, s.max_length)
 
-        # 5. B = E + rho F B (Eq. 10, 11), relaxed row by row.
+        # 5. B = E + rho F B (Eq. 11), relaxed row by row.
         relax = jacobi if s.solver == "jacobi" else gauss_seidel
         residual = 0.0
         for iterate in relax(system.transport, system.emitted, system.arriving, s.tolerance, s.max_iterations):

@@ -1,4 +1,4 @@
-"""Progressive multi-pass method (Chen, Rushmeier, Miller and Turner 1991; review, sections 5.2.1 and 7).
+"""Progressive multi-pass method (Chen, Rushmeier, Miller and Turner 1991; review, sections 5.2.1 (i) and 7).
 
 Both strategies, both natures. First progressive radiosity shoots the light of all sources among the elements, over mirrors as well
 (extended form factors), which shows a complete picture almost at once. Then Monte Carlo passes refine it, sample by sample:
@@ -34,7 +34,7 @@ from ..adjoint_gi.core.method.registry import BOTH_NATURES, SHOOTING_THEN_GATHER
 from ..adjoint_gi.core.method.solution import Solution, Step
 from ..adjoint_gi.core.radiosity.lamp_light import dark_notices, receiver_light
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
-from ..adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP, Grouping, Shooting, Southwell, balance
+from ..adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP, DiffuseShooting, Grouping, Southwell, balance
 from ..adjoint_gi.core.radiosity.trapped import Trap
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import World
@@ -92,8 +92,8 @@ class MultiPass(Solver):
         year=1991,
         authors="S. E. Chen, H. E. Rushmeier, G. Miller, D. Turner",
         title="A Progressive Multi-Pass Method for Global Illumination",
-        equation="W = g + T* W first, then L = Le + T L  (2, then 1)",
-        section="5.2.1 and 7",
+        equation="B = E + rho F B shot first, then L = Le + T L  (13, then 1)",
+        section="5.2.1 (i) and 7",
         idea="Progressive radiosity gives a picture at once; path tracing then replaces what it cannot resolve, and reads it further off.",
         lobes=FIRST_PASS_LOBES,
         limits=lines("""
@@ -118,7 +118,7 @@ class MultiPass(Solver):
         run = Run(self.spec, world, receivers, settings, emitters)
         blend = _Blend(run, elements_for(world, receivers, settings.max_edge, self.spec.elements), emitters)
 
-        # 1. W = g + T* W (Eq. 2): progressive radiosity.
+        # 1. B = E + rho F B (Eq. 11), shot (Eq. 13): progressive radiosity.
         for share, text in blend.radiosity():
             yield from run.clock.pause(Step(FIRST * share, text, blend.solution))
 
@@ -144,7 +144,7 @@ class _Blend:
         gather = receiver_light(run.world, emitters, s)
         self.answer = ElementAnswer(elements, run.receivers, gather, s.min_length, s.max_length)
         self.emitted = np.repeat(elements.emitted, 2, axis=0)
-        self.state = Southwell(self.transport, self.emitted, np.zeros_like(self.emitted))
+        self.state = DiffuseShooting(self.transport, self.emitted, np.zeros_like(self.emitted))
         self.parts: Parts | None = None
 
     @property
@@ -160,9 +160,9 @@ class _Blend:
         for share in self.answer.prepare():
             yield 0.2 + 0.1 * share, f"Receivers, {share:.0%}"
         # Light of lamps over mirrors is indirect; it comes in after the state has begun, as its second class.
-        self.state = state = Southwell(self.transport, self.emitted, self.outside.straight)
+        self.state = state = DiffuseShooting(self.transport, self.emitted, self.outside.straight)
         state.arrive_later(self.outside.caustics.total)
-        shooting = Shooting(state, Grouping.for_sides(len(state.direct), s.rays, SHOTS), s.tolerance, s.max_shots)
+        shooting = Southwell(state, Grouping.for_sides(len(state.direct), s.rays, SHOTS), s.tolerance, s.max_shots)
         trap = Trap(state)
         for share in shooting.run():
             trap.check(self.elements)

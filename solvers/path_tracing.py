@@ -118,7 +118,7 @@ def trace(paths: Paths) -> Gathered:
     Le(x) of the receiver itself is added elsewhere. A path's weight is the product of fr cos / pdf over its vertices.
     """
     while paths.alive:
-        # Le(x') of a point x' on the lights, drawn by their power.
+        # Le(y) of a point y on the lights, drawn by their power; it stands for Le(x') where the ray would meet a light.
         paths.light_points()
         # A direction drawn by the BRDF at x; the weight takes fr cos / pdf.
         if not paths.scatter():

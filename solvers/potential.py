@@ -6,7 +6,8 @@ The adjoint of radiance, and the equation that shooting methods solve:
 
 with g the function of the receiver set S and y the point that is met. Its mean over the hemisphere about a diffuse element is
 
-    W(i) = g(i) + sum_j rho_j F_ij W(j),    Phi = pi sum_i Le(i) A(i) W(i)                                          (14)
+    W(i) = g(i) + sum_j rho_j F_ij W(j)                                                                   (before 14)
+    Phi = pi sum_i Le(i) A(i) W(i)                                                                               (14)
 
 W(i) is the share of a unit of flux emitted at i that becomes part of Phi, the flux of S. With S the faces of some objects, Phi is what
 leaves them (W, and W has no unit); with S the camera's view, W is in m-2, see `core.flux.detectors`.
@@ -110,7 +111,7 @@ class Potential(Solver):
         year=1993,
         authors="S. N. Pattanaik, S. P. Mudur",
         title="The Potential Equation and Importance in Illumination Computations",
-        equation="W(i) = g(i) + sum_j rho(j) F(ij) W(j), Phi = pi sum Le A W  (2, 4, 14)",
+        equation="W(i) = g(i) + sum_j rho(j) F(ij) W(j), Phi = pi sum_i Le(i) A(i) W(i)  (2; 4 and 14)",
         section="3",
         idea="The adjoint of radiance: how much of the light that a place emits reaches the chosen receivers.",
         lobes=ALL_LOBES,
@@ -151,7 +152,7 @@ class Potential(Solver):
             yield from self._walk_from_camera(PotentialRun(self, world, places, s, detect, ALL_LOBES), rng)
 
     def _relax(self, run: PotentialRun) -> Iterator[Step]:
-        """W(i) = g(i) + sum_j rho_j F_ij W(j) (Eq. 2, 14) on diffuse elements."""
+        """W(i) = g(i) + sum_j rho_j F_ij W(j) (Eq. 2; the series before Eq. 14) on diffuse elements."""
         s = run.settings
         yield from _prepare(run)
 
@@ -191,7 +192,7 @@ class Potential(Solver):
         yield from run.finish("Walked")
 
     def _walk_from_receivers(self, run: Run, detect: FaceDetector, rng: np.random.Generator) -> Iterator[Step]:
-        """<W(x)> = g(x) + sum_k g(x_k) (Eq. 15) for every receiver, from walks that leave it as light that it emits would."""
+        """<W(x)> = g(x) + sum_k g(x_k) (before Eq. 15) for every receiver, from walks that leave it as light that it emits would."""
         s, world = run.settings, run.world
         flux_rng = np.random.default_rng(rng.integers(0, 1 << 63, 4))
         own = detect.on_receivers(world, run.receivers) * np.float32(s.min_length == 0)

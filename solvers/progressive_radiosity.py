@@ -1,11 +1,12 @@
-"""Progressive radiosity (Cohen, Chen, Wallace and Greenberg 1988; review, section 7, Eq. 13 and 14).
+"""Progressive radiosity (Cohen, Chen, Wallace and Greenberg 1988; review, section 7, Eq. 13).
 
-Shooting, deterministic. The element with the most unshot flux sends it to all others; they keep what they reflect of it to send on:
+Shooting, deterministic. The element with the most unshot flux sends it to all others; what they reflect of it is unshot there:
 
-    B(j) += rho(j) dB(i) F(ij) A(i) / A(j),  dB(j) likewise,  dB(i) = 0                                           (13, 14)
+    B(j) += rho(j) dB(i) F(ij) A(i) / A(j),  dB(j) likewise,  dB(i) = 0                                   (before 13)
 
-which by reciprocity is rho(j) dB(i) F(ji); the F of the printed Eq. 13 is right for fluxes, or for equal areas. Flux is what is counted
-here, along rays from the shooting element, so none is lost: emitted = absorbed + escaped + unshot at every step.
+This is the review's shot dB(i) = rho(i) F(ij) B(j) with i and j exchanged (here i shoots), as A(i) F(ij) = A(j) F(ji); Eq. 13 is the sum of
+all shots, and its printed F, from the side that shoots, is right for fluxes, or for equal areas. Flux is what is counted here, along rays
+from the shooting element, so none is lost: emitted = absorbed + escaped + unshot at every step.
 
 M. F. Cohen, S. E. Chen, J. R. Wallace and D. P. Greenberg, "A Progressive Refinement Approach to Fast Radiosity Image Generation",
 Computer Graphics (SIGGRAPH '88 Proceedings), 22(4), 1988, 75-84. Overshooting: M. Feda and W. Purgathofer, "Accelerating Radiosity by
@@ -33,7 +34,7 @@ from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.radiosity.element_run import Found, RadiosityRun
 from ..adjoint_gi.core.radiosity.importance import GROWTH, PER_SIDE, Subdivision, importance, shoot_emitters
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
-from ..adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP, RAYS_PER_GROUP, Grouping, Shooting, Southwell, balance
+from ..adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP, RAYS_PER_GROUP, DiffuseShooting, Grouping, Southwell, balance
 from ..adjoint_gi.core.radiosity.transports import FreshRayTransport
 from ..adjoint_gi.core.radiosity.trapped import Trap
 from ..adjoint_gi.core.receivers.base import Receivers
@@ -86,7 +87,7 @@ class ProgressiveRadiosity(Solver):
         year=1988,
         authors="M. F. Cohen, S. E. Chen, J. R. Wallace, D. P. Greenberg",
         title="A Progressive Refinement Approach to Fast Radiosity Image Generation",
-        equation="B(j) += rho(j) dB(i) F(ij) A(i) / A(j)  (13, 14)",
+        equation="B(j) += rho(j) dB(i) F(ij) A(i) / A(j)  (one shot; 13 is the sum)",
         section="7",
         idea="The element with the most unshot light sends it to all it sees, again and again, so that the brightest light comes first.",
         lobes=DIFFUSE_LOBES,
@@ -128,9 +129,9 @@ class ProgressiveRadiosity(Solver):
         if s.adaptive and s.max_length >= 1:
             yield from run.subdivide()
 
-        # 4. Groups of sides, most unshot flux first: B(j) += rho(j) dB(i) F(ij) A(i) / A(j) (Eq. 13, 14).
+        # 4. Groups of sides, most unshot flux first: B(j) += rho(j) dB(i) F(ij) A(i) / A(j) (Eq. 13 is the sum).
         state, trap = run.state, Trap(run.state)
-        shooting = Shooting(state, Grouping.for_sides(len(state.direct), s.rays), s.tolerance, s.max_shots)
+        shooting = Southwell(state, Grouping.for_sides(len(state.direct), s.rays), s.tolerance, s.max_shots)
         for share in shooting.run():
             trap.check(run.elements)
             run.note(share)
@@ -153,9 +154,9 @@ class ProgressiveRun(RadiosityRun):
 
     def _start(self) -> None:
         s = self.settings
-        self._become(Southwell(self.transport, self.emitted, self.lamps.irradiance, s.min_length, s.max_length, s.overshoot))
+        self._become(DiffuseShooting(self.transport, self.emitted, self.lamps.irradiance, s.min_length, s.max_length, s.overshoot))
 
-    def _become(self, state: Southwell) -> None:
+    def _become(self, state: DiffuseShooting) -> None:
         self.state, elements = state, self.elements
         self.find = lambda partial: self._find(state, elements, partial)
 
@@ -199,7 +200,7 @@ class ProgressiveRun(RadiosityRun):
             self.fine = fine
             self.rays += fine.rays
 
-    def _find(self, state: Southwell, elements: Elements, partial: bool) -> Found:
+    def _find(self, state: DiffuseShooting, elements: Elements, partial: bool) -> Found:
         s = self.settings
         direct, indirect = state.direct, state.indirect
         if partial and s.ambient and s.max_length >= 2:

@@ -5,8 +5,8 @@ hemisphere. The side with most to send shoots it along rays; a BRDF is a matrix 
 
     q(j, b) += sum over rays of dPhi h_b(wi) / A(j),   L(j, wo) += sum_ab h_a(wo) M_ab dq(j, b),   dL(j) likewise,  dL(i) = 0
 
-the directional form of Eq. 13 and 14, which are its case l = 0. M is the cosine-weighted projection of f(wo, wi) on both directions; for
-isotropic lobes only equal m couple. It keeps the flux of evenly lit surfaces at every order.
+the directional form of the shot of Eq. 13, which is its case l = 0. M is the cosine-weighted projection of f(wo, wi) on both
+directions; for isotropic lobes only equal m couple. It keeps the flux of evenly lit surfaces at every order.
 
 F. X. Sillion, J. R. Arvo, S. H. Westin and D. P. Greenberg, "A Global Illumination Solution for General Reflectance Distributions",
 Computer Graphics (SIGGRAPH '91 Proceedings), 25(4), 1991, 187-196.
@@ -29,7 +29,7 @@ from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.registry import DETERMINISTIC, SHOOTING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
-from ..adjoint_gi.core.radiosity.southwell import Grouping, Shooting, balance
+from ..adjoint_gi.core.radiosity.southwell import Grouping, Southwell, balance
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import World
 
@@ -75,7 +75,7 @@ class SphericalHarmonics(Solver):
         year=1991,
         authors="F. X. Sillion, J. R. Arvo, S. H. Westin, D. P. Greenberg",
         title="A Global Illumination Solution for General Reflectance Distributions",
-        equation="L(j, wo) += sum_ab h_a(wo) M_ab dq(j, b)  (13 and 14 by direction)",
+        equation="L(j, wo) += sum_ab h_a(wo) M_ab dq(j, b)  (one shot; 13 by direction)",
         section="7",
         idea="Elements shoot radiance that depends on direction, kept in a few spherical harmonics, brightest first.",
         lobes=ALL_LOBES,
@@ -124,8 +124,8 @@ class SphericalHarmonics(Solver):
         state.illuminate(moments)
         run.check_lit(moments)
 
-        # 3. Groups of sides, most unshot flux first: L(j, wo) += sum_ab h_a(wo) M_ab dq(j, b) (Eq. 13 and 14 by direction).
-        shooting = Shooting(state, grouping(state, s.rays), s.tolerance, s.max_shots, PATIENCE * len(state.area))
+        # 3. Groups of sides, most unshot flux first: L(j, wo) += sum_ab h_a(wo) M_ab dq(j, b) (Eq. 13 by direction).
+        shooting = Southwell(state, grouping(state, s.rays), s.tolerance, s.max_shots, PATIENCE * len(state.area))
         for share in shooting.run():
             run.note(share)
             yield from run.step(shooting.done, shooting.text)

@@ -1,9 +1,11 @@
 """Stochastic Jacobi radiosity (Neumann, Feda, Kopp and Purgathofer 1994): all sides shoot at once, along rays drawn anew by their power.
 
+Not in the review; a nondeterministic relative of progressive radiosity, its section 7.
+
 Shooting, nondeterministic. Of the power P = sum_i A(i) dB(i) that is unshot, N P / P0 rays are drawn, with P0 what was emitted and N rays
 for it: so every ray of every iteration carries P0 / N. A side draws its share of them, and a ray that meets side j leaves there
 
-    B(j) += rho(j) dB',  dB(j) = rho(j) dB',  dB' = P0 / (N A(j))  in the colours of the unshot light of its source         (13)
+    B(j) += rho(j) dB',  dB(j) = rho(j) dB',  dB' = P0 / (N A(j))  in the colours of the unshot light of its source (13, in the mean)
 
 which in the mean over the rays is one Jacobi step of the shooting iteration dB <- T dB, for all sides together: no form factor is ever
 found, and a step costs time in proportion to sides and rays, not to pairs of sides. Reflection is by albedo, survival by power: what is
@@ -32,7 +34,7 @@ from ..adjoint_gi.core.method.registry import NONDETERMINISTIC, SHOOTING, Method
 from ..adjoint_gi.core.method.solution import EnergyBalance, Step
 from ..adjoint_gi.core.radiosity.element_run import Found, RadiosityRun
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
-from ..adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP, Southwell, balance
+from ..adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP, DiffuseShooting, balance
 from ..adjoint_gi.core.radiosity.transports import FreshRayTransport
 from ..adjoint_gi.core.radiosity.trapped import Trap
 from ..adjoint_gi.core.receivers.base import Receivers
@@ -69,8 +71,8 @@ class StochasticJacobi(Solver):
         year=1994,
         authors="L. Neumann, M. Feda, M. Kopp, W. Purgathofer",
         title="A New Stochastic Radiosity Method for Highly Complex Scenes",
-        equation="B(j) += rho(j) P / (N A(j)) for each of N rays, drawn from side i by dB(i) A(i) / P  (13)",
-        section="7",
+        equation="B(j) += rho(j) P0 / (N A(j)) for each ray that meets j, N P / P0 rays drawn by dB(i) A(i) / P  (13, in the mean)",
+        section="7 (related, not in the review)",
         idea="All elements shoot at once, along random rays in proportion to their unshot power, so that no form factor is ever needed.",
         lobes=DIFFUSE_LOBES,
         limits=lines("""
@@ -99,7 +101,7 @@ class StochasticJacobi(Solver):
         yield from run.stage(run.lamps.run(), 0.0, 0.0, "Light of lamps and background, {}")
         run.check_lit(run.lamps.irradiance)
 
-        # 3. Runs of as many iterations as it takes for all light to be absorbed, to escape or to be too long (Eq. 13).
+        # 3. Runs of as many iterations as it takes for all light to be absorbed, to escape or to be too long (Eq. 13, in the mean).
         done = 0.0
         for number in range(1, run.count + 1):
             state = run.begin()
@@ -127,10 +129,10 @@ class JacobiRun(RadiosityRun):
         self.transport = FreshRayTransport(ElementRays(self.elements), rng)
         self.mean = Mean(self.transport.area)
 
-    def begin(self) -> Southwell:
+    def begin(self) -> DiffuseShooting:
         """Nothing shot yet: own emission, and what lamps and background have brought."""
         s = self.settings
-        self.state = Southwell(self.transport, self.emitted, self.lamps.irradiance, s.min_length, s.max_length)
+        self.state = DiffuseShooting(self.transport, self.emitted, self.lamps.irradiance, s.min_length, s.max_length)
         self.find = self._find
         return self.state
 
@@ -145,7 +147,7 @@ class JacobiRun(RadiosityRun):
         return Found(parts, self.transport.count + self.lamps.rays + parts.rays, flux)
 
 
-def shoot(state: Southwell, quantum: float, rng: np.random.Generator) -> int:
+def shoot(state: DiffuseShooting, quantum: float, rng: np.random.Generator) -> int:
     """One iteration: every side draws rays of `quantum` W (sum of the channels) for its unshot flux; returns how many were drawn.
 
     One random number draws them all: as many for a side as multiples of the quantum fall into its part of the summed flux, so that their
@@ -174,7 +176,7 @@ class Mean:
         self.total, self.squares = np.zeros(n), np.zeros(n)  # of the irradiance, channels summed
         self.flux = np.zeros(4)  # emitted, absorbed, escaped, unshot
 
-    def add(self, state: Southwell) -> None:
+    def add(self, state: DiffuseShooting) -> None:
         """One more run, at its end."""
         self.runs += 1
         self.direct += state.direct

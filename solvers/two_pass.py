@@ -1,4 +1,4 @@
-"""Two-pass method (Wallace, Cohen and Greenberg 1987; Sillion and Puech 1989; review, section 5.2, after Eq. 11).
+"""Two-pass method (Wallace, Cohen and Greenberg 1987; Sillion and Puech 1989; review, section 5.2.1 (i), after Eq. 11).
 
 Gathering, deterministic in its first pass and not in its second. First, the radiosity of the diffuse parts of all surfaces,
 
@@ -85,7 +85,7 @@ class TwoPass(Solver):
         authors="J. R. Wallace, M. F. Cohen, D. P. Greenberg; F. X. Sillion, C. Puech",
         title="A Two-Pass Solution to the Rendering Equation: A Synthesis of Ray Tracing and Radiosity Methods",
         equation="B(i) = E(i) + rho(i) sum_j Fext(ij) B(j)  (11, extended)",
-        section="5.2",
+        section="5.2.1 (i)",
         idea="Radiosity with form factors that count mirrors, then rays from the eye over mirrors to the known diffuse surfaces.",
         lobes=FIRST_PASS_LOBES,
         limits=lines("""

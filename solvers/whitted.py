@@ -3,7 +3,7 @@
 Gathering, deterministic. The light elements of Eq. 6, seen through shadow rays, and one ray along the mirror direction, whose
 radiance is found by the same equation:
 
-    Lo(x) = Le(x) + rho_a L_a + rho_s(x) Lo(y) + sum_j fr(x) Le(j) cos theta(j) dw(j)                                 (9)
+    Lo(x) = Le(x) + rho_a L_a + rho_s(x) Lo(y) + sum_j fr(x) Le(j) cos theta(j) dw(j)                        (9, with Le)
 
 Glass sends a second ray through the surface; Fresnel's equations share the light between the two. Both are traced, so the tree of
 rays is the same every time. It is cut off at a depth and where a branch carries little.
@@ -44,7 +44,7 @@ MANY = 8  # glass surfaces after which rays that are all followed are very many
 
 ROUGH = (
     ("highlights", "Highlights", "Rough surfaces reflect only the lights, by the BRDF in Eq. 9; rough glass is taken as clear"),
-    ("phong", "Phong Highlights", "The same with the lobe cos^n of Eq. 8; n = (2 / r^4 - 2) / 4 for roughness r"),
+    ("phong", "Phong Highlights", "The same, by cos^n alpha of Eq. 8 times the cosine of incidence, n = (2 / r^4 - 2) / 4"),
     ("mirrors", "Mirrors", "Rough lobes are taken as perfectly smooth: sharp reflections"),
     ("refuse", "Refuse", "Stop with the name of the material"),
 )
@@ -80,7 +80,7 @@ class Whitted(Solver):
         year=1980,
         authors="T. Whitted",
         title="An Improved Illumination Model for Shaded Display",
-        equation="Lo(x) = Le + rho_a L_a + rho_s Lo(y) + sum_j fr Le(j) cos theta(j) dw(j)  (9)",
+        equation="Lo(x) = Le + rho_a L_a + rho_s Lo(y) + sum_j fr Le(j) cos theta(j) dw(j)  (9, with Le)",
         section="5.1",
         idea="Besides the lights, a surface gathers from one more direction: the mirror's, and beyond glass the refracted one.",
         lobes=ALL_LOBES,

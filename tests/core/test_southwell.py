@@ -9,8 +9,8 @@ from adjgi.adjoint_gi.core.radiosity.relaxation import jacobi
 from adjgi.adjoint_gi.core.radiosity.southwell import (
     MOST_RAYS_PER_GROUP,
     RAYS_PER_GROUP,
+    DiffuseShooting,
     Grouping,
-    Shooting,
     Southwell,
     balance,
     most_first,
@@ -25,7 +25,7 @@ EXCHANGE = np.array([[0.0, 0.5, 0.2], [0.5, 0.6, 0.6], [0.2, 0.6, 0.0]])
 def state(emitted=(1.0, 0.0, 0.0), rho=0.5, **options):
     factors = EXCHANGE / AREA[:, None]
     transport = MatrixTransport(AREA, np.full((3, 3), rho), factors, 1 - factors.sum(axis=1))
-    return Southwell(transport, np.repeat(np.array(emitted)[:, None], 3, axis=1), np.zeros((3, 3)), **options)
+    return DiffuseShooting(transport, np.repeat(np.array(emitted)[:, None], 3, axis=1), np.zeros((3, 3)), **options)
 
 
 def test_the_largest_come_first_and_equals_by_their_index():
@@ -54,7 +54,7 @@ def test_batches_grow_with_the_sides():
 
 def test_shooting_ends_at_its_tolerance_and_equals_gathering():
     s = state()
-    shooting = Shooting(s, Grouping(1, 1 << 20), 1e-12)
+    shooting = Southwell(s, Grouping(1, 1 << 20), 1e-12)
     shares = list(shooting.run())
     assert shares == sorted(shares, reverse=True) and shares[-1] <= 1e-12 < shares[-2]
     assert not shooting.unfinished and shooting.done == pytest.approx(0.999)
@@ -66,7 +66,7 @@ def test_shooting_ends_at_its_tolerance_and_equals_gathering():
 
 
 def test_shooting_ends_with_its_shots_and_says_what_is_left():
-    shooting = Shooting(state(), Grouping(1, 1 << 20), 1e-3, max_shots=2)
+    shooting = Southwell(state(), Grouping(1, 1 << 20), 1e-3, max_shots=2)
     shares = list(shooting.run())
     assert shooting.state.shots == 2 and shooting.unfinished
     assert shooting.shortfall == f"stopped after 2 shots with {shares[-1]:.2%} of the light unshot"
@@ -76,11 +76,11 @@ def test_shooting_ends_with_its_shots_and_says_what_is_left():
 
 def test_shooting_gives_up_where_nothing_becomes_less():
     closed = MatrixTransport(np.ones(2), np.ones((2, 3)), np.array([[0.0, 1], [1, 0]]))
-    s = Southwell(closed, np.ones((2, 3)), np.zeros((2, 3)))
-    shooting = Shooting(s, Grouping(1, 1 << 20), 1e-3, patience=20)
+    s = DiffuseShooting(closed, np.ones((2, 3)), np.zeros((2, 3)))
+    shooting = Southwell(s, Grouping(1, 1 << 20), 1e-3, patience=20)
     assert 10 <= len(list(shooting.run())) <= 12 and shooting.unfinished
 
 
 def test_nothing_to_shoot_ends_at_once():
-    shooting = Shooting(state((0.0, 0.0, 0.0)), Grouping(1, 1 << 20), 1e-3)
+    shooting = Southwell(state((0.0, 0.0, 0.0)), Grouping(1, 1 << 20), 1e-3)
     assert list(shooting.run()) == [] and not shooting.unfinished and shooting.share == 0

@@ -10,7 +10,7 @@ from adjgi.adjoint_gi.core.elements.rays import ElementRays
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.radiosity.factor_matrix import FactorMatrix
 from adjgi.adjoint_gi.core.radiosity.relaxation import gauss_seidel, jacobi, lengths
-from adjgi.adjoint_gi.core.radiosity.southwell import Southwell
+from adjgi.adjoint_gi.core.radiosity.southwell import DiffuseShooting
 from adjgi.adjoint_gi.core.radiosity.transports import FreshRayTransport, MatrixTransport, RayTransport
 from adjgi.adjoint_gi.core.radiosity.trapped import trapped
 from adjgi.adjoint_gi.core.scene.world import World
@@ -89,11 +89,11 @@ def test_shooting_with_unequal_areas_is_not_the_printed_equation():
     transport = matrix_of(scenes.room()).transport
     emitted = np.zeros((6, 3))
     emitted[0] = 1.0
-    *_, state = shot_out(Southwell(transport, emitted, 0 * emitted))
+    *_, state = shot_out(DiffuseShooting(transport, emitted, 0 * emitted))
     floor = transport.rho[4, 0] * (state.direct + state.indirect)[4, 0]
     assert floor == pytest.approx(1.06264137633323 / 16, rel=1e-12)
     # The first shot alone: rho F_ij A_i / A_j and not rho F_ij.
-    first = Southwell(transport, emitted, 0 * emitted)
+    first = DiffuseShooting(transport, emitted, 0 * emitted)
     first.shoot(np.array([0]), np.ones(1, np.int64))
     assert first.direct[4, 0] == pytest.approx(0.17931680315063253, rel=1e-12)
 
@@ -202,7 +202,7 @@ def test_schemes_agree_with_a_direct_solve(scheme):
         want = np.linalg.solve(np.eye(n) - t.factors * rho[:, c], t.factors @ emitted[:, c] + arriving[:, c])
         assert np.allclose(last.irradiance[:, c], want, rtol=1e-12)
     # Shooting has the same limit.
-    state = Southwell(t, emitted, arriving)
+    state = DiffuseShooting(t, emitted, arriving)
     while state.unshot_flux().sum() > 1e-13 * state.total:
         state.shoot(state.largest(n)[0], np.ones(n, np.int64))
     assert np.allclose(state.direct + state.indirect, last.irradiance, rtol=1e-10)
@@ -229,7 +229,7 @@ def test_path_lengths_are_exact_in_every_scheme(low, high):
     direct, indirect = lengths(t, emitted, arriving, last.irradiance, low, high)
     assert np.allclose(direct + indirect, wanted, atol=1e-14)
     assert np.allclose(direct, terms[0] if low <= 1 <= high else 0.0, atol=1e-15)
-    state = Southwell(t, emitted, arriving, low, high)
+    state = DiffuseShooting(t, emitted, arriving, low, high)
     for _ in shot_out(state):
         pass
     assert np.allclose(state.direct + state.indirect, wanted, atol=1e-14)
@@ -241,7 +241,7 @@ def test_shooting_stays_below_the_solution_and_loses_nothing():
     emitted = np.zeros((6, 3))
     emitted[5] = 1.0
     want = solved(t, emitted)
-    state = Southwell(t, emitted, 0 * emitted)
+    state = DiffuseShooting(t, emitted, 0 * emitted)
     before = state.total
     ambient = []
     for s in shot_out(state):
@@ -256,7 +256,7 @@ def test_shooting_stays_below_the_solution_and_loses_nothing():
     assert got[:, 0] == pytest.approx([0.155936360493] * 2 + [0.191955473047, 0.046719809960, 0.065934152332, 1.098647189394], rel=1e-9)
     assert ambient[-1] < 1e-14 < ambient[0]
     # Sweeps: each takes away at least the share that is absorbed.
-    sweep = Southwell(t, emitted, 0 * emitted)
+    sweep = DiffuseShooting(t, emitted, 0 * emitted)
     for k in range(1, 20):
         sweep.shoot(np.arange(6), np.ones(6, np.int64))
         assert sweep.remaining().sum() <= sweep.total * 0.8**k + 1e-15
@@ -269,7 +269,7 @@ def test_overshooting_has_the_same_limit_in_fewer_shots():
     emitted[-1] = 1.0
     counts, answers = [], []
     for overshoot in (False, True):
-        state = Southwell(t, emitted, 0 * emitted, overshoot=overshoot)
+        state = DiffuseShooting(t, emitted, 0 * emitted, overshoot=overshoot)
         while state.unshot_flux().sum() > 1e-12 * state.total:
             state.shoot(state.largest(1)[0], np.ones(1, np.int64))
         counts.append(state.shots)

@@ -21,7 +21,7 @@ from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights.background import Background
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import method
-from adjgi.adjoint_gi.core.radiosity.southwell import Grouping, Southwell
+from adjgi.adjoint_gi.core.radiosity.southwell import DiffuseShooting, Grouping
 from adjgi.adjoint_gi.core.radiosity.transports import FreshRayTransport
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
@@ -74,7 +74,7 @@ def test_diffuse_walls_equal_progressive_radiosity_on_the_same_rays(order, low, 
     elements = Elements(World(scenes.room(0.7, 0.2, 0.5, (0.3, 0, 0, 0, 0, 1.0))), 1.5)
     ours = shooter(elements, order, low=low, high=high)
     transport = FreshRayTransport(ours.caster)
-    theirs = Southwell(transport, np.repeat(elements.emitted, 2, axis=0), np.zeros((2 * elements.count, 3)), low, high)
+    theirs = DiffuseShooting(transport, np.repeat(elements.emitted, 2, axis=0), np.zeros((2 * elements.count, 3)), low, high)
     grouping = Grouping.for_sides(2 * elements.count, 20_000)
     for _ in range(12):
         index, rays = grouping.next(theirs)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import SceneError
 from adjgi.adjoint_gi.core.elements.rays import ElementRays
-from adjgi.adjoint_gi.core.radiosity.southwell import Southwell
+from adjgi.adjoint_gi.core.radiosity.southwell import DiffuseShooting
 from adjgi.adjoint_gi.core.radiosity.transports import FreshRayTransport
 from adjgi.solvers.stochastic_jacobi import Mean, shoot
 from adjgi.tests import scenes
@@ -122,7 +122,7 @@ def test_survival_is_fair():
     for _ in range(400):
         transport = FreshRayTransport(ElementRays(receivers.elements), rng)
         emitted = np.repeat(receivers.elements.emitted, 2, axis=0) * np.tile([1.0, 0.0], receivers.elements.count)[:, None]
-        state = Southwell(transport, emitted, np.zeros_like(emitted))
+        state = DiffuseShooting(transport, emitted, np.zeros_like(emitted))
         count = shoot(state, 2 * state.total, rng)
         assert count in (0, 1)
         drawn += count
@@ -135,7 +135,7 @@ def test_nothing_is_drawn_where_nothing_is_unshot():
     receivers = on_elements(scenes.cube(0.5))
     transport = FreshRayTransport(ElementRays(receivers.elements), np.random.default_rng(0))
     dark = np.zeros((2 * receivers.elements.count, 3))
-    assert shoot(Southwell(transport, dark, dark), 1.0, np.random.default_rng(0)) == 0
+    assert shoot(DiffuseShooting(transport, dark, dark), 1.0, np.random.default_rng(0)) == 0
     assert Mean(transport.area).relative_error() == math.inf
 
 

@@ -112,5 +112,5 @@ class LobeKind(ABC):
         return [np.ones(len(given))]
 
     def tints(self, alpha: float, many: bool, color: np.ndarray, tint: np.ndarray) -> list[np.ndarray]:
-        """Colours (m, 3), one for each of `factors`; `tint` (m, 3) as in `Seen`."""
+        """Colours (m, 3), one for each of `factors`; `tint` (m, 3) as in `LobeView`."""
         return [color]

@@ -1,6 +1,6 @@
 """Shooting of radiance that is kept in harmonics: the state of the method of Sillion, Arvo, Westin and Greenberg 1991.
 
-As `radiosity.southwell.Southwell`, with coefficients of radiance by direction in the place of radiosity. A shot samples the radiance
+As `radiosity.southwell.DiffuseShooting`, with coefficients of radiance by direction in the place of radiosity. A shot samples the radiance
 of its side along rays drawn by the cosine; what arrives is kept as moments, the sum of flux times h_a(wi) over area, and a matrix for
 each material turns moments into the coefficients of what leaves. Flux is what is counted, so none is lost.
 """
@@ -24,8 +24,8 @@ class HarmonicShooting:
 
     direct, indirect   (n, size, 3) moments of the light that has arrived, of the path lengths asked for; the first one of them,
                        times sqrt(2 pi), is the irradiance
-    unshot             (k, n, size, 3) coefficients of radiance not yet sent, by the segments its light has behind it (see Southwell)
-    absorbed, escaped  flux in W by channel, as in Southwell; `count`: rays cast; `shots`: sides that have shot
+    unshot             (k, n, size, 3) coefficients of radiance not yet sent, by the segments its light has behind it (see DiffuseShooting)
+    absorbed, escaped  flux in W by channel, as in DiffuseShooting; `count`: rays cast; `shots`: sides that have shot
     """
 
     def __init__(

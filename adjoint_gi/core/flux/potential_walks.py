@@ -1,9 +1,9 @@
-"""The potential by random walks (Pattanaik and Mudur 1993; review, Eq. 2 and 15), for surfaces of all kinds.
+"""The potential by random walks (Pattanaik and Mudur 1993; review, section 8, Eq. 2), for surfaces of all kinds.
 
 From a receiver point a walk leaves as light that is emitted there would, by the cosine, and every visit to the set S counts what S
 scatters of the walk's weight:
 
-    <W(x)> = g(x) + sum_k g(x_k)                                                                                  (15)
+    <W(x)> = g(x) + sum_k g(x_k)                                                                           (before 15)
 
 No walk would meet the camera by chance. So importance leaves it through its picture, and what arrives on an element, per area, is the
 element's potential.

@@ -53,7 +53,7 @@ class ElementRun:
 
     @property
     def emitted(self) -> np.ndarray:
-        """(2 ne, 3) float64 W m-2: radiosity that the element sides emit themselves, E(i) of Eq. 10."""
+        """(2 ne, 3) float64 W m-2: radiosity that the element sides emit themselves, E(i) of Eq. 11."""
         return np.repeat(self.elements.emitted, 2, axis=0)
 
     # ---- steps

@@ -18,7 +18,7 @@ from ..elements.refinement import RefinedElements, contrast, longest_edge, over_
 from ..flux.detectors import Detector
 from ..lights.emitters import Emitters
 from .lamp_light import LampLight
-from .southwell import Southwell
+from .southwell import DiffuseShooting
 from .transports import RayTransport
 
 PER_SIDE = 64  # rays of each element side for the potential that says what matters
@@ -113,7 +113,7 @@ def importance(elements: Elements, detect: Detector, reflections: int = 8) -> np
     return np.minimum(1.0, potential / mean) if mean > 0 else np.ones(elements.count)
 
 
-def shoot_emitters(state: Southwell, rays: np.ndarray, batch: int) -> Iterator[None]:
+def shoot_emitters(state: DiffuseShooting, rays: np.ndarray, batch: int) -> Iterator[None]:
     """Shoot everything that is emitted, with `rays` (n,) rays for each side, in groups of about `batch` rays."""
     sides = np.flatnonzero(state.unshot[0].any(axis=1))
     ends = np.cumsum(rays[sides]) // batch

@@ -1,8 +1,8 @@
-"""The potential of diffuse elements by relaxation (Pattanaik and Mudur 1993; review, Eq. 2 and 14).
+"""The potential of diffuse elements by relaxation (Pattanaik and Mudur 1993; review, section 7, Eq. 2).
 
 The mean of the potential over the hemisphere about an element is
 
-    W(i) = g(i) + sum_j rho_j F_ij W(j)                                                                           (2, 14)
+    W(i) = g(i) + sum_j rho_j F_ij W(j)                                                                   (before 14)
 
 the adjoint system W = g + T* W of the transport T = rho F. Jacobi relaxes all of it at once; Southwell shoots what is left.
 
@@ -19,7 +19,7 @@ import numpy as np
 from ..elements.elements import Elements
 from ..elements.rays import ElementRays
 from .factor_matrix import FactorMatrix
-from .southwell import Grouping, Shooting, Southwell
+from .southwell import DiffuseShooting, Grouping, Southwell
 from .transports import RayTransport, Transport
 
 GROUP = 64  # sides that shoot together
@@ -96,10 +96,10 @@ class PotentialSystem:
     def _southwell(self) -> Iterator[float]:
         """The sides with the most potential left pass on what they reflect of it. Yields the share that is left."""
         g = self.g[self.sides]
-        state = Southwell(self.transport, self.transport.rho * g, np.zeros_like(g), self.low, self.high)
+        state = DiffuseShooting(self.transport, self.transport.rho * g, np.zeros_like(g), self.low, self.high)
         whole = float((np.repeat(self.elements.area, 2)[self.sides, None] * g).sum())
         grouping = Grouping(1, 1 << 62, GROUP, fewest=self.per_side, most=self.per_side)
-        for left in Shooting(state, grouping, 0.0, whole=whole).run():
+        for left in Southwell(state, grouping, 0.0, whole=whole).run():
             self.parts[1][self.sides], self.parts[2][self.sides] = state.direct, state.indirect
             yield left
         if not state.shots:

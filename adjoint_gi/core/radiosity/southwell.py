@@ -1,10 +1,11 @@
-"""The scheme that shoots: Southwell relaxation, column by column (Cohen, Chen, Wallace and Greenberg 1988; review, Eq. 13 and 14).
+"""The scheme that shoots: Southwell relaxation, column by column (Cohen, Chen, Wallace and Greenberg 1988; review, section 7).
 
-    B(j) += rho(j) dB(i) F(ij) A(i) / A(j),  dB(j) likewise,  dB(i) = 0                                           (13, 14)
+    B(j) += rho(j) dB(i) F(ij) A(i) / A(j),  dB(j) likewise,  dB(i) = 0                                   (before 13)
 
-for the side i with the most unshot flux A(i) dB(i), again and again. `Southwell` is the state on diffuse elements, kept as irradiance H
-with B = E + rho H; E is emitted radiosity, H0 irradiance that arrives from outside the elements (lamps, background); all (n, 3).
-`Grouping` and `Shooting` are the scheme over any state.
+for the side i with the most unshot flux A(i) dB(i), again and again: the shot of which Eq. 13 is the sum. Here i shoots and j receives; the
+review has them the other way round. `DiffuseShooting` is the state on diffuse elements, kept as irradiance H with B = E + rho H; E is
+emitted radiosity, H0 irradiance that arrives from outside the elements (lamps, background); all (n, 3). `Grouping` and `Southwell` are
+the scheme over any state.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ AT_ONCE = 1 << 14  # sides that shoot together at most
 
 
 class ShootingState(Protocol):
-    """What Southwell's scheme works on: `Southwell` on diffuse elements, `HarmonicShooting` where radiance depends on direction.
+    """What Southwell's scheme works on: `DiffuseShooting` on diffuse elements, `HarmonicShooting` where radiance depends on direction.
 
     total   emitted flux in W, the channels summed; shots: sides that have shot
     absorbed, escaped   (3,) float64 flux in W by channel
@@ -85,7 +86,7 @@ class Grouping:
         return index[:fits], rays[:fits]
 
 
-class Shooting:
+class Southwell:
     """Southwell's scheme over any state: groups shoot until little is left, the shots are used up, or nothing more is gained.
 
     left    flux in W that is unshot, absolute values summed; whole: the flux in W that it is a share of
@@ -111,7 +112,7 @@ class Shooting:
         state = self.state
         least, best = self.left, state.shots
         while self.unfinished and state.shots < self.max_shots:
-            # 1. The sides with the most unshot flux (Southwell picks the largest residual) send all of it (Eq. 13 and 14).
+            # 1. The sides with the most unshot flux (Southwell picks the largest residual) send all of it (a term of Eq. 13).
             index, rays = self.grouping.next(state, self.max_shots - state.shots)
             if not len(index):
                 return
@@ -151,8 +152,8 @@ class Shooting:
         return f"stopped after {self.state.shots:,} shots with {self.share:.2%} of the light unshot"
 
 
-class Southwell:
-    """What has been shot and what has not: sides send their unshot flux, and everything they light gets it to send on (Eq. 13, 14).
+class DiffuseShooting:
+    """What has been shot and what has not: sides send their unshot flux, and everything they light reflects it, unshot.
 
     direct, indirect   (n, 3) irradiance so far, of the path lengths asked for
     first              (n, 3) irradiance so far of one segment, whether asked for or not
@@ -209,7 +210,7 @@ class Southwell:
                 self.unshot[min(length, len(self.unshot) - 1)] += rho * light
         self.reached |= irradiance.any(axis=(0, 2))
 
-    def refined(self, transport: Transport, root: np.ndarray, factor: np.ndarray) -> Southwell:
+    def refined(self, transport: Transport, root: np.ndarray, factor: np.ndarray) -> DiffuseShooting:
         """The same state on finer elements, before any light of a second segment has been shot.
 
         root (n,): the side that each new side is part of; factor (n, 3): its share of light of one segment, relative to that side's.
@@ -252,7 +253,7 @@ class Southwell:
 
     def shoot(self, index: np.ndarray, rays: np.ndarray) -> None:
         """Send the unshot light of sides `index` (m,), all at once, with `rays` (m,) rays each."""
-        # dB(i) is sent and becomes 0 (Eq. 14).
+        # dB(i) is sent and becomes 0.
         out = self.unshot[:, index]
         if self.overshoot:
             out[-1] += self._expected(index)
@@ -262,7 +263,7 @@ class Southwell:
         # Classes in which nobody has anything are not carried along.
         used = np.flatnonzero(out.any(axis=(1, 2)))
         flat = out[used].transpose(1, 0, 2).reshape(len(index), 3 * len(used))
-        # dB(i) F(ij) A(i) / A(j) arrives; rho(j) of it is unshot there (Eq. 13).
+        # dB(i) F(ij) A(i) / A(j) arrives; rho(j) of it is unshot there (the shot before Eq. 13).
         arrived, escaped = self.transport.shoot(index, flat, rays)
         full = np.zeros((classes, len(self.direct), 3))
         full[used] = arrived.reshape(-1, len(used), 3).transpose(1, 0, 2)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..base.errors import SceneError
 from ..elements.elements import Elements
-from .southwell import Southwell
+from .southwell import DiffuseShooting
 from .transports import MatrixTransport
 
 ROUNDS = 4.0  # times that the unshot light of a channel is sent before its losses are judged
@@ -31,7 +31,7 @@ def trapped(transport: MatrixTransport) -> np.ndarray:
 class Trap:
     """Watches shooting: light that is sent on and on and loses next to nothing is caught."""
 
-    def __init__(self, state: Southwell) -> None:
+    def __init__(self, state: DiffuseShooting) -> None:
         self.state = state
         self._sent, self._lost = state.sent.copy(), state.absorbed + state.escaped
 
