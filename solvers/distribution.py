@@ -31,13 +31,13 @@ from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.registry import GATHERING, NONDETERMINISTIC, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Points, Receivers
-from ..adjoint_gi.core.sampling.sets import KINDS, Sampler
+from ..adjoint_gi.core.sampling.sets import SAMPLERS, Sampler
 from ..adjoint_gi.core.scene.world import Surface, World
 from ..adjoint_gi.core.walks.gathering import SAMPLES_PER_BATCH, Estimate, Run
 from ..adjoint_gi.core.walks.paths import NEVER, Gathered, Paths, Walk, follow
 from ..adjoint_gi.core.walks.radiance import LobeVertices, start
 
-PLACE, LENS, FIRST = 0, 1, 2  # streams of the sampler; from FIRST on two for every surface on the way
+PLACE, LENS, FIRST_SURFACE = 0, 1, 2  # streams of the sampler; from FIRST_SURFACE on two for every surface on the way
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class DistributionSettings(base.Settings):
         min=0,
         max=4,
     )
-    sampling: str = setting("jittered", "Sampling", "Where the random numbers come from", choices=KINDS)
+    sampling: str = setting("jittered", "Sampling", "Where the random numbers come from", choices=SAMPLERS)
     joined: bool = setting(
         True,
         "Join Light and BRDF Rays",
@@ -104,7 +104,7 @@ class Distribution(Solver):
         run = Run(self.spec, world, receivers, settings, emitters)
         tracer = DistributionTracer(world, emitters, receivers, settings, int(rng.integers(0, 1 << 32)))
         # Lo = Le + light points + BRDF rays (Eq. 5), at the points of every sample.
-        yield from run.steps(None, settings.samples, rng, tracer.place, tracer.batch)
+        yield from run.random_samples(settings.samples, rng, place=tracer.place, batch=tracer.batch)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +133,7 @@ class DistributionTracer:
         self.table = bsdf.BsdfTable(world.scene)
         roulette = 1 + settings.split_depth if settings.roulette else NEVER
         lengths = (settings.min_length, settings.max_length)
-        self.walk = Walk(world, emitters, self.table, *lengths, max(2, roulette), lobes=settings.joined)
+        self.walk = Walk(world, emitters, self.table, *lengths, max(2, roulette), meet_lights=settings.joined)
         # Rays that each sample may cost, about six on each path after the surfaces that split: batches take about the same time.
         s = settings
         rays = 6 * s.brdf_samples**s.split_depth
@@ -168,7 +168,7 @@ class DistributionTracer:
         s = self.settings
         if length > s.split_depth:
             return follow(Paths(self.walk, vertices, rng, length))
-        stream = FIRST + 2 * (length - 1)
+        stream = FIRST_SURFACE + 2 * (length - 1)
         # (i) The source term: 1/n sum fr Le cos theta / p_light, over rays distributed over the emission of the lights.
         lights = Paths(self.walk, vertices, rng, length, np.float32(1 / s.light_samples))
         for j in range(s.light_samples):

@@ -38,8 +38,8 @@ from ..adjoint_gi.core.walks.paths import Gathered, Walk
 from ..adjoint_gi.core.walks.radiance import gather, lobes_of
 
 RECORDS_PER_BLOCK = 64  # records made together
-ROUND = 512  # records made before the cache is asked again
-PIECE = 1 << 13  # receiver points that ask it at once
+RECORDS_PER_ROUND = 512  # records made before the cache is asked again
+POINTS_PER_PIECE = 1 << 13  # receiver points that ask it at once
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class IrradianceCache(Solver):
 
     def memory(self, world: World, receivers: Receivers, settings: CacheSettings) -> int:
         """The receivers' points, and the rays of one round of records."""
-        return receivers.count * 600 + ROUND * settings.rays * 400
+        return receivers.count * 600 + RECORDS_PER_ROUND * settings.rays * 400
 
     def solve(self, world: World, receivers: Receivers, settings: CacheSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every round of records, then as the receivers are read."""
@@ -97,7 +97,7 @@ class IrradianceCache(Solver):
         run = Run(self.spec, world, receivers, settings, emitters)
         walk = Walk(world, emitters, BsdfTable(world.scene), settings.min_length, settings.max_length)
         seed = rng.integers(0, 1 << 63, 4).tolist()
-        state = _State(world, settings, walk, seed)
+        state = CacheRun(world, settings, walk, seed)
 
         # Step 1: fill the cache with the irradiance at some points. Every 64th first, so that records spread out before they fill in.
         if settings.max_length >= 2:
@@ -113,11 +113,11 @@ class IrradianceCache(Solver):
             found = Gathered(direct, state.indirect(surface), rays)
             return found if wo is None else found.times(world.albedo(surface) / np.float32(np.pi))
 
-        for step in run.sites(estimate):
+        for step in run.fixed_points(estimate):
             yield Step(0.8 + 0.2 * step.fraction, step.text, step.solution)
 
 
-class _State:
+class CacheRun:
     """The cache while it grows; only the thread that drives the solver changes it."""
 
     def __init__(self, world: World, settings: CacheSettings, walk: Walk, seed: list[int]) -> None:
@@ -142,7 +142,7 @@ class _State:
 
     def cover(self, receivers: Receivers, stride: int, start: int, run: Run) -> Iterator[float]:
         """Make records until every `stride`-th receiver point has one; yields the share done."""
-        for points in sliced(receivers.sites(), PIECE):
+        for points in sliced(receivers.sites(), POINTS_PER_PIECE):
             at = np.flatnonzero(points.triangle >= 0)[start::stride]
             towards = None if points.towards is None else points.towards[at]
             surface = self.world.surface(points.triangle[at], points.u[at], points.v[at], towards)
@@ -151,7 +151,7 @@ class _State:
                 if not len(bare):
                     break
                 # Points that lie far apart in the receivers' order, so that one round does not crowd one place.
-                pick = bare[:: max(1, len(bare) // ROUND)][:ROUND]
+                pick = bare[:: max(1, len(bare) // RECORDS_PER_ROUND)][:RECORDS_PER_ROUND]
                 yield from self._add(surface, pick, run)
             yield (int(points.receiver.max()) + 1) / receivers.count
 

@@ -89,7 +89,7 @@ class LocalIllumination(Solver):
             return shade(world, points, table, surface, wo, settings)
 
         # Lo = Le + ambient + lights (Eq. 6), at every receiver's fixed points.
-        yield from run.sites(estimate, points.batch)
+        yield from run.fixed_points(estimate, points.batch)
 
 
 def shade(world: World, points: LightPoints, table: BsdfTable, surface: Surface, wo: np.ndarray | None, s: LocalSettings) -> Gathered:

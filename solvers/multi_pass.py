@@ -46,9 +46,9 @@ from ..adjoint_gi.core.walks.gathering import SAMPLES_PER_BATCH, Run
 from ..adjoint_gi.core.walks.mirror_chains import Chains
 from ..adjoint_gi.core.walks.paths import Walk
 
-FIRST = 0.3  # share of the progress that radiosity takes
-SHOTS = 1 << 14  # rays of the sides that shoot together, at least; each may become a chain of many
-PRIOR = 4.0  # samples that the first answer is worth at the start of the second pass
+FIRST_PASS_SHARE = 0.3  # share of the progress that radiosity takes
+MIN_RAYS_PER_GROUP = 1 << 14  # rays of the sides that shoot together, at least; each may become a chain of many
+PRIOR_SAMPLES = 4.0  # samples that the first answer is worth at the start of the second pass
 
 
 @dataclass(frozen=True)
@@ -116,21 +116,21 @@ class MultiPass(Solver):
         """Yield after every group of shots, then about ten times a second."""
         emitters = Emitters(world)
         run = Run(self.spec, world, receivers, settings, emitters)
-        blend = _Blend(run, elements_for(world, receivers, settings.max_edge, self.spec.elements), emitters)
+        passes = MultiPassRun(run, elements_for(world, receivers, settings.max_edge, self.spec.elements), emitters)
 
         # 1. B = E + rho F B (Eq. 11), shot (Eq. 13): progressive radiosity.
-        for share, text in blend.radiosity():
-            yield from run.clock.pause(Step(FIRST * share, text, blend.solution))
+        for share, text in passes.radiosity():
+            yield from run.clock.pause(Step(FIRST_PASS_SHARE * share, text, passes.solution))
 
         # 2. L = Le + T L (Eq. 1): path tracing that reads the radiosity further off.
-        walk = Walk(world, emitters, blend.chains.table, settings.min_length, settings.max_length)
-        unmet = blend.outside.caustics.unmet_light(settings.min_length, settings.max_length)
-        view = View(walk, blend.known(), settings.hops if blend.reads else settings.max_length + 1, False, unmet)
-        for step in run.steps(estimator(view), settings.samples, rng):
-            yield dataclasses.replace(step, fraction=FIRST + (1 - FIRST) * step.fraction, solution=blend.solution)
+        walk = Walk(world, emitters, passes.chains.table, settings.min_length, settings.max_length)
+        unmet = passes.outside.caustics.unmet_light(settings.min_length, settings.max_length)
+        view = View(walk, passes.known(), settings.hops if passes.reads else settings.max_length + 1, False, unmet)
+        for step in run.random_samples(settings.samples, rng, estimator(view)):
+            yield dataclasses.replace(step, fraction=FIRST_PASS_SHARE + (1 - FIRST_PASS_SHARE) * step.fraction, solution=passes.solution)
 
 
-class _Blend:
+class MultiPassRun:
     """The first pass, and its answer joined with that of the second."""
 
     def __init__(self, run: Run, elements: Elements, emitters: Emitters) -> None:
@@ -144,6 +144,7 @@ class _Blend:
         gather = receiver_light(run.world, emitters, s)
         self.answer = ElementAnswer(elements, run.receivers, gather, s.min_length, s.max_length)
         self.emitted = np.repeat(elements.emitted, 2, axis=0)
+        # For partial results while light of lamps and background is found; `radiosity` begins with that light in a state of its own.
         self.state = DiffuseShooting(self.transport, self.emitted, np.zeros_like(self.emitted))
         self.parts: Parts | None = None
 
@@ -162,7 +163,7 @@ class _Blend:
         # Light of lamps over mirrors is indirect; it comes in after the state has begun, as its second class.
         self.state = state = DiffuseShooting(self.transport, self.emitted, self.outside.straight)
         state.arrive_later(self.outside.caustics.total)
-        shooting = Southwell(state, Grouping.for_sides(len(state.direct), s.rays, SHOTS), s.tolerance, s.max_shots)
+        shooting = Southwell(state, Grouping.for_sides(len(state.direct), s.rays, MIN_RAYS_PER_GROUP), s.tolerance, s.max_shots)
         trap = Trap(state)
         for share in shooting.run():
             trap.check(self.elements)
@@ -191,7 +192,7 @@ class _Blend:
             return second
         parts = self.parts or self._now()
         count = self.run.film.count.astype(np.float32)
-        prior = PRIOR * (1 - count / self.settings.samples)
+        prior = PRIOR_SAMPLES * (1 - count / self.settings.samples)
         share = (prior / np.maximum(prior + count, 1e-6))[:, None]
 
         def mix(name: str) -> np.ndarray:

@@ -29,7 +29,7 @@ from ..adjoint_gi.core.base.errors import Notice
 from ..adjoint_gi.core.base.parallel import in_order, thread_count
 from ..adjoint_gi.core.base.settings import choice
 from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES
-from ..adjoint_gi.core.bsdf.table import KINDS, BsdfTable
+from ..adjoint_gi.core.bsdf.table import LOBE_KINDS, BsdfTable
 from ..adjoint_gi.core.elements.answer import elements_for
 from ..adjoint_gi.core.flux.tally import Batch, ElementScore, ReceiverScore, Tally
 from ..adjoint_gi.core.lights.emission import Emission
@@ -41,11 +41,11 @@ from ..adjoint_gi.core.receivers.base import Receivers, SurfaceReceivers
 from ..adjoint_gi.core.scene.world import World
 from ..adjoint_gi.core.walks.particles import Hits, walk
 
-SMALLEST, LARGEST = 1 << 10, 1 << 15  # particles in a batch
+MIN_PARTICLES_PER_BATCH, MAX_PARTICLES_PER_BATCH = 1 << 10, 1 << 15  # particles in a batch
 BATCHES = 32  # at least, where batches do not become too small: the standard error is estimated from their differences
 FEW_BATCHES = 8  # where there are so many elements that summing over them takes longer than the walks
 PER_ELEMENT = 250  # particles shot for each element that is made when the elements' size is chosen automatically
-FEWEST, MOST = 500, 50_000  # elements chosen automatically
+MIN_ELEMENTS, MAX_ELEMENTS = 500, 50_000  # elements chosen automatically
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class ParticleTracing(Solver):
         else:
             count = world.triangle_count + automatic(settings.particles)
         batches = 2 * thread_count()
-        return count * (400 + 2 * 7 * 8 + batches * 2 * 6 * 8) + batches * LARGEST * 600 + receivers.count * 1500
+        return count * (400 + 2 * 7 * 8 + batches * 2 * 6 * 8) + batches * MAX_PARTICLES_PER_BATCH * 600 + receivers.count * 1500
 
     def solve(self, world: World, receivers: Receivers, settings: ParticleSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every batch; the fraction is particles done."""
@@ -197,7 +197,7 @@ class ParticleRun:
 
 def automatic(particles: int) -> int:
     """Elements wanted for a number of particles, so that each gets some hundred hits."""
-    return min(max(particles // PER_ELEMENT, FEWEST), MOST)
+    return min(max(particles // PER_ELEMENT, MIN_ELEMENTS), MAX_ELEMENTS)
 
 
 def batch_sizes(particles: int, sides: int) -> list[int]:
@@ -205,7 +205,7 @@ def batch_sizes(particles: int, sides: int) -> list[int]:
     if particles == 0:
         return []
     wanted = max(particles // BATCHES, min(sides // 2, particles // FEW_BATCHES))
-    size = min(max(wanted, SMALLEST), LARGEST)
+    size = min(max(wanted, MIN_PARTICLES_PER_BATCH), MAX_PARTICLES_PER_BATCH)
     many = -(-particles // size)
     return [particles // many + (i < particles % many) for i in range(many)]
 
@@ -224,7 +224,7 @@ def camera_notices(world: World, receivers: Receivers, settings: ParticleSetting
         out.append(Notice("Camera", "has no area to count particles in, so they are counted on elements", "Bake to texels or vertices"))
     for index in np.unique(world.scene.material):
         material = world.scene.materials[index]
-        if any(x.kind in KINDS and not x.color.is_black for x in material.lobes):
+        if any(x.kind in LOBE_KINDS and not x.color.is_black for x in material.lobes):
             reason = "scatters particles by all its lobes, but is seen as diffuse, since elements hold irradiance"
             out.append(Notice(f"Material {material.name}", reason, "Choose path tracing or two-pass for pictures of it"))
     return tuple(dict.fromkeys(out))

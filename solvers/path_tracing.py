@@ -102,14 +102,14 @@ class PathTracing(Solver):
         run = Run(self.spec, world, receivers, settings, emitters, notices(emitters, settings))
         if walk.table.only_diffuse and settings.plain:
             tracer = PathTracer(walk, receivers, trace, tuple(int(x) for x in rng.integers(0, 2**32, 4)))
-            yield from run.passes(tracer.batch, settings.samples, batches(receivers.count, settings.samples, even=True))
+            yield from run.sample_batches(tracer.batch, settings.samples, batches(receivers.count, settings.samples, even=True))
         else:
 
             def estimate(surface: Surface, wo: np.ndarray | None, rng: np.random.Generator) -> Gathered:
                 vertices, factor = start(walk, surface, wo)
                 return trace(Paths(walk, vertices, rng)).times(factor)
 
-            yield from run.steps(estimate, settings.samples, rng)
+            yield from run.random_samples(settings.samples, rng, estimate)
 
 
 def trace(paths: Paths) -> Gathered:
@@ -140,8 +140,8 @@ def walk_of(world: World, emitters: Emitters, settings: PathSettings) -> Walk:
         s.min_length,
         s.max_length,
         s.roulette_length if s.roulette else NEVER,
-        lights=s.light_importance,
-        lobes=s.joined or not s.light_importance,
+        draw_lights=s.light_importance,
+        meet_lights=s.joined or not s.light_importance,
         uniform=not s.lobe_importance,
         survival=by_root if table.only_diffuse and s.plain else by_weight,
     )

@@ -201,7 +201,7 @@ class Potential(Solver):
             return replace(step, solution=lambda: replace(step.solution(), emitted=own, extra=dict(run.extra)))
 
         last = None
-        for last in run.steps(ReceiverWalks(world, detect, s.min_length, s.max_length), s.samples, rng):
+        for last in run.random_samples(s.samples, rng, ReceiverWalks(world, detect, s.min_length, s.max_length)):
             if last.fraction < 1.0:
                 yield with_own(last)
         # Phi = <W, Le> by particles of all lights (Eq. 15), which is work as well.

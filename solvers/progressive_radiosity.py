@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core.base.settings import NO_LIMIT, setting
+from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf.lobes import DIFFUSE_LOBES
 from ..adjoint_gi.core.elements.answer import ElementAnswer, element_count
 from ..adjoint_gi.core.elements.elements import Elements
@@ -34,7 +34,15 @@ from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.radiosity.element_run import Found, RadiosityRun
 from ..adjoint_gi.core.radiosity.importance import GROWTH, PER_SIDE, Subdivision, importance, shoot_emitters
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
-from ..adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP, RAYS_PER_GROUP, DiffuseShooting, Grouping, Southwell, balance
+from ..adjoint_gi.core.radiosity.southwell import (
+    MOST_RAYS_PER_GROUP,
+    RAYS_PER_GROUP,
+    DiffuseShooting,
+    Grouping,
+    Southwell,
+    balance,
+    length_classes,
+)
 from ..adjoint_gi.core.radiosity.transports import FreshRayTransport
 from ..adjoint_gi.core.radiosity.trapped import Trap
 from ..adjoint_gi.core.receivers.base import Receivers
@@ -110,7 +118,7 @@ class ProgressiveRadiosity(Solver):
         """Elements, unshot light by path length, rays under way and receivers; it grows linearly with the elements."""
         count = element_count(world, receivers, settings.max_edge, self.element_target(settings))
         count *= GROWTH if settings.adaptive else 1
-        classes = max(1, settings.max_length) if settings.max_length < NO_LIMIT else max(2, settings.min_length)
+        classes = length_classes(settings.min_length, settings.max_length)
         return count * (700 + 2 * 3 * 8 * (6 * classes + 8)) + 600 * MOST_RAYS_PER_GROUP + 100 * receivers.count
 
     def solve(self, world: World, receivers: Receivers, settings: ProgressiveSettings, rng: np.random.Generator) -> Iterator[Step]:
@@ -153,6 +161,10 @@ class ProgressiveRun(RadiosityRun):
         self._start()
 
     def _start(self) -> None:
+        """The state before any shot, with the light of lamps and background as far as it is known.
+
+        Made twice: at first so that there are partial results while that light is found, and in `begin` with all of it.
+        """
         s = self.settings
         self._become(DiffuseShooting(self.transport, self.emitted, self.lamps.irradiance, s.min_length, s.max_length, s.overshoot))
 

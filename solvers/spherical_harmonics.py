@@ -19,24 +19,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core.base.settings import NO_LIMIT, setting
+from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES
 from ..adjoint_gi.core.directional.harmonic_shooting import HarmonicShooting
-from ..adjoint_gi.core.directional.harmonics import MOST, HemisphereHarmonics, harmonic_count
+from ..adjoint_gi.core.directional.harmonics import MAX_ORDER, HemisphereHarmonics, harmonic_count
 from ..adjoint_gi.core.directional.run import DirectionalRun, leaving
 from ..adjoint_gi.core.elements.answer import element_count
 from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.registry import DETERMINISTIC, SHOOTING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
-from ..adjoint_gi.core.radiosity.southwell import Grouping, Southwell, balance
+from ..adjoint_gi.core.radiosity.southwell import Grouping, Southwell, balance, length_classes
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import World
 
 RAYS_PER_GROUP = 1 << 16  # rays of the sides that shoot together
-FEWEST, MOST_RAYS = 16, 1 << 16  # rays of one shot
-ENOUGH = 8  # rays for every coefficient, in shots of sides that are not plainly diffuse
-AT_ONCE = 1 << 13  # sides that shoot together at most
+MIN_RAYS_PER_SHOT, MAX_RAYS_PER_SHOT = 16, 1 << 16  # rays of one shot
+RAYS_PER_COEFFICIENT = 8  # in shots of sides that are not plainly diffuse
+MAX_SIDES_PER_GROUP = 1 << 13  # sides that shoot together at most
 PATIENCE = 8  # times that all sides may shoot before the unshot light must have become less: in narrow lobes ringing is passed on for ever
 
 
@@ -45,7 +45,7 @@ class HarmonicSettings(RadiositySettings):
     """Settings of directional radiance in harmonics."""
 
     order: int = setting(
-        4, "Order", "Highest l of the harmonics; 0 is diffuse light only, 8 resolves lobes of about 20 degrees", min=0, max=MOST
+        4, "Order", "Highest l of the harmonics; 0 is diffuse light only, 8 resolves lobes of about 20 degrees", min=0, max=MAX_ORDER
     )
     window: float = setting(
         0.0,
@@ -95,7 +95,7 @@ class SphericalHarmonics(Solver):
     def memory(self, world: World, receivers: Receivers, settings: HarmonicSettings) -> int:
         """Coefficients of element sides by path length, rays under way, the pairs that lobes are projected from, receivers."""
         count = element_count(world, receivers, settings.max_edge, self.spec.elements)
-        classes = max(1, settings.max_length) if settings.max_length < NO_LIMIT else max(2, settings.min_length)
+        classes = length_classes(settings.min_length, settings.max_length)
         size = harmonic_count(settings.order)
         return (
             2 * count * size * 24 * (3 * classes + 8)
@@ -140,6 +140,8 @@ def grouping(state: HarmonicShooting, carriers: int) -> Grouping:
     def fewest(index: np.ndarray) -> np.ndarray:
         # Noise: a narrow lobe makes of one ray a radiance whose mean square is about `size` times that of an even one. Sent on along
         # fewer rays than this, each of which may hit another mirror, it would grow from bounce to bounce.
-        return np.where(state.scattering.shiny[index >> 1], max(FEWEST, ENOUGH * state.basis.size), FEWEST)
+        return np.where(
+            state.scattering.shiny[index >> 1], max(MIN_RAYS_PER_SHOT, RAYS_PER_COEFFICIENT * state.basis.size), MIN_RAYS_PER_SHOT
+        )
 
-    return Grouping(carriers, RAYS_PER_GROUP, AT_ONCE, fewest, MOST_RAYS)
+    return Grouping(carriers, RAYS_PER_GROUP, MAX_SIDES_PER_GROUP, fewest, MAX_RAYS_PER_SHOT)

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core.base.settings import NO_LIMIT, setting
+from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf.lobes import DIFFUSE_LOBES
 from ..adjoint_gi.core.elements.answer import element_count
 from ..adjoint_gi.core.elements.rays import ElementRays
@@ -34,7 +34,7 @@ from ..adjoint_gi.core.method.registry import NONDETERMINISTIC, SHOOTING, Method
 from ..adjoint_gi.core.method.solution import EnergyBalance, Step
 from ..adjoint_gi.core.radiosity.element_run import Found, RadiosityRun
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
-from ..adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP, DiffuseShooting, balance
+from ..adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP, DiffuseShooting, balance, length_classes
 from ..adjoint_gi.core.radiosity.transports import FreshRayTransport
 from ..adjoint_gi.core.radiosity.trapped import Trap
 from ..adjoint_gi.core.receivers.base import Receivers
@@ -87,7 +87,7 @@ class StochasticJacobi(Solver):
     def memory(self, world: World, receivers: Receivers, settings: StochasticJacobiSettings) -> int:
         """Elements, unshot light by path length, rays under way and receivers; it grows linearly with the elements."""
         count = element_count(world, receivers, settings.max_edge, self.element_target(settings))
-        classes = max(1, settings.max_length) if settings.max_length < NO_LIMIT else max(2, settings.min_length)
+        classes = length_classes(settings.min_length, settings.max_length)
         return count * (700 + 2 * 3 * 8 * (6 * classes + 12)) + 600 * MOST_RAYS_PER_GROUP + 100 * receivers.count
 
     def solve(self, world: World, receivers: Receivers, settings: StochasticJacobiSettings, rng: np.random.Generator) -> Iterator[Step]:

@@ -46,7 +46,7 @@ from ..adjoint_gi.core.walks.gathering import SAMPLES_PER_BATCH, Run
 from ..adjoint_gi.core.walks.mirror_chains import Chains
 from ..adjoint_gi.core.walks.paths import Walk
 
-FIRST = 0.4  # share of the progress that the first pass takes
+FIRST_PASS_SHARE = 0.4  # share of the progress that the first pass takes
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class TwoPass(Solver):
         elements = elements_for(world, receivers, s.max_edge, self.spec.elements)
         first = FirstPass(elements, emitters, s, receivers.measure == "irradiance")
         for share, text in first.run():
-            yield from run.clock.pause(Step(FIRST * share, text, run.solution))
+            yield from run.clock.pause(Step(FIRST_PASS_SHARE * share, text, run.solution))
         run.rays += first.rays
         run.warnings += first.warnings
         known = first.known()
@@ -126,8 +126,8 @@ class TwoPass(Solver):
         unmet = first.outside.caustics.unmet_light(s.min_length, s.max_length) if s.gather else None
         walk = Walk(world, emitters, first.chains.table, s.min_length, s.max_length)
         view = View(walk, known, int(s.gather), s.direct_light == "receivers", unmet)
-        for step in run.steps(estimator(view), s.samples, rng):
-            yield dataclasses.replace(step, fraction=FIRST + (1 - FIRST) * step.fraction)
+        for step in run.random_samples(s.samples, rng, estimator(view)):
+            yield dataclasses.replace(step, fraction=FIRST_PASS_SHARE + (1 - FIRST_PASS_SHARE) * step.fraction)
 
 
 class FirstPass:

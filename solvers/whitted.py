@@ -24,7 +24,7 @@ from ..adjoint_gi.core.base.parallel import thread_count
 from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf import mirrors
 from ..adjoint_gi.core.bsdf import table as bsdf
-from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES, DIFFUSE, KINDS, LOBES, REFRACTING, SHINING
+from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES, DIFFUSE, LOBE_KINDS, LOBES, REFRACTING, SHINING
 from ..adjoint_gi.core.lights.direct import INF, from_hits
 from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.lights.light_points import LightPoints, phong_lobe
@@ -40,7 +40,7 @@ from ..adjoint_gi.core.walks.gathering import Run
 from ..adjoint_gi.core.walks.paths import Gathered
 
 FRONT = 1 << 14  # rays that are followed at once
-MANY = 8  # glass surfaces after which rays that are all followed are very many
+MANY_DOUBLINGS = 8  # glass surfaces after which rays that are all followed are very many
 
 ROUGH = (
     ("highlights", "Highlights", "Rough surfaces reflect only the lights, by the BRDF in Eq. 9; rough glass is taken as clear"),
@@ -107,15 +107,23 @@ class Whitted(Solver):
         emitters = Emitters(world)
         tracer = MirrorTracer(world, emitters, settings)
         notices = rough_notices(world, settings.rough)
-        batch = tracer.points.batch
-        deepest = min(settings.depth, settings.max_length)
-        if settings.contribution == 0 and deepest > MANY and tracer.splits:
-            # Every glass surface doubles the rays: few points at a time keep the steps short, as far as that goes.
-            batch = max(1, min(batch, (1 << 20) >> min(deepest, 20)))
-            reason = f"every ray is followed over up to {deepest} glass surfaces, each of which doubles the rays"
-            notices += (Notice(self.spec.label, reason, "Raise contribution above 0 or lower depth if it takes too long"),)
+        batch, doubling = guarded(tracer, self.spec.label)
         # Lo = Le + lights + ambient + mirrored and refracted rays (Eq. 9), at every receiver's fixed points.
-        yield from Run(self.spec, world, receivers, settings, emitters, notices).sites(tracer.estimate, batch)
+        yield from Run(self.spec, world, receivers, settings, emitters, notices + doubling).fixed_points(tracer.estimate, batch)
+
+
+def guarded(tracer: MirrorTracer, label: str) -> tuple[int, tuple[Notice, ...]]:
+    """Receiver points in a batch, and a notice where all rays are followed over many glass surfaces, each of which doubles them.
+
+    Few points at a time keep the steps short then, as far as that goes.
+    """
+    s, batch = tracer.settings, tracer.points.batch
+    deepest = min(s.depth, s.max_length)
+    if s.contribution > 0 or deepest <= MANY_DOUBLINGS or not tracer.splits:
+        return batch, ()
+    reason = f"every ray is followed over up to {deepest} glass surfaces, each of which doubles the rays"
+    notice = Notice(label, reason, "Raise contribution above 0 or lower depth if it takes too long")
+    return max(1, min(batch, (1 << 20) >> min(deepest, 20))), (notice,)
 
 
 def rough_notices(world: World, rough: str) -> tuple[Notice, ...]:
@@ -138,7 +146,7 @@ def rough_notices(world: World, rough: str) -> tuple[Notice, ...]:
 
 def _is_rough(lobe: Lobe) -> bool:
     """Whether a lobe would be followed by rays if it were smooth."""
-    kind = LOBES[KINDS.get(lobe.kind, DIFFUSE)]
+    kind = LOBES[LOBE_KINDS.get(lobe.kind, DIFFUSE)]
     return (kind.reflects or kind.passes) and (lobe.varies or constant_of(lobe.roughness) ** 2 >= kind.delta_below)
 
 
@@ -168,7 +176,7 @@ class MirrorTracer:
     @property
     def splits(self) -> bool:
         """Whether any surface both reflects and passes rays."""
-        kinds = (LOBES[KINDS.get(x.kind, DIFFUSE)] for m in self.world.scene.materials for x in m.lobes if not x.color.is_black)
+        kinds = (LOBES[LOBE_KINDS.get(x.kind, DIFFUSE)] for m in self.world.scene.materials for x in m.lobes if not x.color.is_black)
         return any(kind.reflects and kind.passes for kind in kinds)
 
     def estimate(self, surface: Surface, wo: np.ndarray | None, _: np.random.Generator) -> Gathered:

@@ -77,8 +77,8 @@ BUGS = (
     Bug(
         "roulette without weight",
         "adjoint_gi/core/walks/paths.py",
-        "weight.take(survive, axis=1) / chance.take(survive)",
-        "weight.take(survive, axis=1)",
+        "weight.take(survive, axis=1) / chance\n",
+        "weight.take(survive, axis=1)\n",
         "tests/methods/test_path_tracing.py -k furnace",
     ),
     Bug(

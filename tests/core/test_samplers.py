@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.sampling.sets import KINDS, Sampler, grid, shuffled
+from adjgi.adjoint_gi.core.sampling.sets import SAMPLERS, Sampler, grid, shuffled
 
-NAMES = [kind for kind, _, _ in KINDS]
+NAMES = [kind for kind, _, _ in SAMPLERS]
 EVEN = [kind for kind in NAMES if kind != "independent"]
 
 

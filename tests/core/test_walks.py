@@ -53,7 +53,7 @@ def test_diffuse_vertices_and_those_with_lobes_find_the_same(survival):
 def test_what_paths_carry_stays_with_them():
     """Each path carries its own number; after every step it is still that of its row."""
     world, surface = floor_of_cornell()
-    walk = Walk(world, Emitters(world), BsdfTable(world.scene), max_length=8, roulette=1)
+    walk = Walk(world, Emitters(world), BsdfTable(world.scene), max_length=8, roulette_from=1)
     paths = Paths(walk, start(walk, surface, None)[0], np.random.default_rng(3))
     paths.carried = {"number": np.arange(N)}
     lengths = []

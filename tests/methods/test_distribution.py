@@ -13,7 +13,7 @@ from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.sampling.sets import KINDS
+from adjgi.adjoint_gi.core.sampling.sets import SAMPLERS
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.radiance import Walk, gather, lobes_of
@@ -23,7 +23,7 @@ from adjgi.tests.solving import view
 from adjgi.tests.surface_points import receivers_at
 
 Z = 4.0  # standard deviations that a sound method exceeds once in three hundred runs of the 50 z-tests here
-SAMPLING = [kind for kind, _, _ in KINDS]
+SAMPLING = [kind for kind, _, _ in SAMPLERS]
 solve = partial(solving.solve, "distribution", seed=1)
 agrees = partial(solving.agrees, z=Z)
 

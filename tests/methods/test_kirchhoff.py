@@ -105,7 +105,7 @@ def check(total):
 @pytest.mark.parametrize("name", WALLS)
 def test_walks_find_radiance_one(name):
     world, table, emission = cavity(WALLS[name])
-    paths = radiance.Walk(world, Emitters(world), table, 0, 200, roulette=8, lights=False, emission=emission)
+    paths = radiance.Walk(world, Emitters(world), table, 0, 200, roulette_from=8, draw_lights=False, emission=emission)
     rng = np.random.default_rng(1)
     surface, wo = start(world, 40_000, rng)
     found = radiance.gather(paths, surface, radiance.lobes_of(paths, surface, wo), rng)
@@ -120,7 +120,7 @@ def test_distributed_rays_find_radiance_one():
     receivers = receivers_at(world, np.array([(0.3, 0.4, 0.0)]))
     settings = DistributionSettings(brdf_samples=4, split_depth=2, sampling="independent", max_length=200)
     tracer = DistributionTracer(world, Emitters(world), receivers, settings, 1)
-    tracer.walk = dataclasses.replace(tracer.walk, lights=False, emission=emission)
+    tracer.walk = dataclasses.replace(tracer.walk, draw_lights=False, emission=emission)
     rows = Rows(np.zeros(len(wo), np.int64), np.arange(len(wo)), len(wo))
     vertices = radiance.LobeVertices(tracer.walk, surface, radiance.lobes_of(tracer.walk, surface, wo))
     found = tracer.trace(vertices, rows, 1, rng)

@@ -343,7 +343,7 @@ def test_what_is_replaced_is_said():
 def test_batches_have_almost_equal_sizes_and_add_up():
     for n, sides in ((1, 4), (1000, 10**6), (1024, 0), (50_000, 20_000), (3_000_001, 10**6)):
         sizes = module.batch_sizes(n, sides)
-        assert sum(sizes) == n and max(sizes) - min(sizes) <= 1 and max(sizes) <= module.LARGEST
+        assert sum(sizes) == n and max(sizes) - min(sizes) <= 1 and max(sizes) <= module.MAX_PARTICLES_PER_BATCH
     assert module.batch_sizes(0, 100) == []
     assert len(module.batch_sizes(10**6, 10**7)) >= module.FEW_BATCHES
 

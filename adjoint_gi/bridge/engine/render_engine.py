@@ -136,7 +136,11 @@ def cropped(camera: Camera, part: tuple[int, int, int, int]) -> Camera:
 
 
 def solve(engine: ADJOINTGI_RE_engine, prepared: PreparedRender) -> None:
-    """Run the method and fill the passes of `engine`; a break leaves no result."""
+    """Run the method and fill the passes of `engine`; a break leaves no result.
+
+    The steps are advanced here and not by `core.method.driver.Driver`: Blender renders in a thread of its own already, and a break drops
+    all, so nothing is needed of what a driver adds (its thread, copies of partial results on a clock, going on after a stop).
+    """
     preferences.apply_threads()
     spec = prepared.solver.spec
     world = World(prepared.arrays)

@@ -11,7 +11,7 @@ from ...core.base.settings import Settings
 from ...core.method import registry
 from ...core.method.registry import Solver
 from ...core.method.solution import QUANTITIES
-from ...core.receivers.texels import LARGEST
+from ...core.receivers.texels import MAX_RESOLUTION
 
 LIGHT = ("irradiance", "radiosity")  # quantities that only methods have which answer light
 
@@ -84,8 +84,8 @@ class BakeRequest:
             if getattr(self, name) not in known:
                 out.append(_error(name, f"{getattr(self, name)!r} is not possible", "Choose one of: " + ", ".join(known)))
         if self.target == "texture":
-            out += _bounds("resolution", self.resolution, 1, LARGEST)
-            out += _bounds("margin", self.margin, 0, LARGEST)
+            out += _bounds("resolution", self.resolution, 1, MAX_RESOLUTION)
+            out += _bounds("margin", self.margin, 0, MAX_RESOLUTION)
             out += _bounds("subsamples", self.subsamples, 1, 256)
         if self.target == "render":
             out += _bounds("width", self.width, 0, 65536) + _bounds("height", self.height, 0, 65536)

@@ -8,7 +8,7 @@ from . import microfacet as mf
 from .curves import MU, Curves
 from .lobe import DELTA_ALPHA
 
-LARGEST = np.float32(0.999)  # something is always left for what lies below
+MAX_COAT_SHARE = np.float32(0.999)  # something is always left for what lies below
 
 
 class Coats(Curves):
@@ -22,7 +22,7 @@ class Coats(Curves):
         total = np.zeros(MU, np.float32)
         for tint, roughness, ior in coats:
             total += tint * coat_albedo(COSINES, roughness, ior)
-        return self.add(*_with_mean(np.minimum(total, LARGEST)))
+        return self.add(*_with_mean(np.minimum(total, MAX_COAT_SHARE)))
 
 
 COSINES = ((np.arange(MU) + 0.5) / MU).astype(np.float32)

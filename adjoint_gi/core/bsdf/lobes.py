@@ -25,13 +25,13 @@ LOBES: tuple[LobeKind, ...] = (
     OrenNayar(),
 )
 DIFFUSE, GLOSSY, METALLIC, SPECULAR, GLASS, REFRACTION, TRANSPARENT, DIELECTRIC, ROUGH_DIFFUSE = range(9)
-KINDS = {kind.name: number for number, kind in enumerate(LOBES) if number}
+LOBE_KINDS = {kind.name: number for number, kind in enumerate(LOBES) if number}
 ALL_LOBES = frozenset(("emission", *(kind.name for kind in LOBES)))  # what surfaces may have
 DIFFUSE_LOBES = frozenset(("diffuse", "emission"))
 NEARLY_DIFFUSE = frozenset(kind.name for kind in LOBES if kind.nearly_diffuse)
 FIRST_PASS_LOBES = ALL_LOBES - NEARLY_DIFFUSE  # what methods know that take what is nearly diffuse as diffuse
 DELTA_BELOW = np.array([kind.delta_below for kind in LOBES], np.float32)
-SHINY = KINDS.keys() - NEARLY_DIFFUSE  # what elements cannot hold: chains go on over it
+SHINY = LOBE_KINDS.keys() - NEARLY_DIFFUSE  # what elements cannot hold: chains go on over it
 
 
 def those(which: Callable[[LobeKind], bool]) -> np.ndarray:

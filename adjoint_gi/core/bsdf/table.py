@@ -19,14 +19,14 @@ from ..scene.arrays import Color, Lobe, RayKind, SceneArrays, constant_of
 from ..scene.shading import ColorField, ScalarField
 from ..scene.substitutes import as_diffuse
 from . import microfacet as mf
-from .coat import LARGEST, Coats
+from .coat import MAX_COAT_SHARE, Coats
 from .curves import Grid, Mixture
 from .diffuse import cosine_directions, lambert
 from .lobe import LobeKind, LobeView
-from .lobes import ALL_LOBES, DELTA_BELOW, KINDS, LOBES, NEARLY_DIFFUSE, PARTIAL, REFRACTING, present
+from .lobes import ALL_LOBES, DELTA_BELOW, LOBE_KINDS, LOBES, NEARLY_DIFFUSE, PARTIAL, REFRACTING, present
 from .multiscatter import Gains
 
-__all__ = ["KINDS", "LOBES", "BsdfTable", "Lobes", "Scattered", "Slot", "evaluate", "sample", "weights", "white_lobe"]
+__all__ = ["LOBE_KINDS", "LOBES", "BsdfTable", "Lobes", "Scattered", "Slot", "evaluate", "sample", "weights", "white_lobe"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,7 @@ class BsdfTable:
         taken = tuple({"diffuse"} | NEARLY_DIFFUSE - known)
         self._material = np.asarray(scene.material, np.int32)
         mats = scene.materials
-        others = [[x for x in m.lobes if x.kind in KINDS and x.kind not in taken and not x.color.is_black] for m in mats]
+        others = [[x for x in m.lobes if x.kind in LOBE_KINDS and x.kind not in taken and not x.color.is_black] for m in mats]
         self.count = max((len(o) for o in others), default=0)
         self.varies = np.array([any(x.varies for x in o) for o in others] or [False])
         self.diffuse = ColorField([as_diffuse(m, taken) for m in mats], scene)
@@ -191,7 +191,7 @@ class BsdfTable:
     def coat_at(self, coating: Mixture, cosine: np.ndarray) -> np.ndarray:
         """(n,) coat albedo at a cosine."""
         found = self.coats.at(coating, False, cosine)
-        return np.minimum(found, LARGEST) if coating.shares else found
+        return np.minimum(found, MAX_COAT_SHARE) if coating.shares else found
 
     def below_coat(self, coating: Mixture, out: np.ndarray, back: np.ndarray) -> np.ndarray:
         """(n,) what coats leave for lobes below at the cosines (n,) of wo and wi, reciprocal (Ashikhmin et al. 2000)."""
@@ -216,7 +216,7 @@ class SlotFields:
     """One slot of every material: constants in tables, and what varies as fields. Entries of materials without it are None."""
 
     def __init__(self, lobes: list[Lobe | None], scene: SceneArrays, table: BsdfTable) -> None:
-        self.kind = np.array([KINDS[x.kind] if x else 0 for x in lobes], np.int8)
+        self.kind = np.array([LOBE_KINDS[x.kind] if x else 0 for x in lobes], np.int8)
         self.color = ColorField([x.color if x else Color() for x in lobes], scene)
         self.roughness = ScalarField([x.roughness if x else 1.0 for x in lobes], scene, 0.0, 1.0)
         self.ior = ScalarField([x.ior if x else 1.0 for x in lobes], scene, 1e-3, np.inf)
@@ -272,7 +272,7 @@ class SlotFields:
 
 def is_coat(lobe: Lobe) -> bool:
     """Whether it lies over the others of its material."""
-    return LOBES[KINDS[lobe.kind]].is_coat
+    return LOBES[LOBE_KINDS[lobe.kind]].is_coat
 
 
 def coat_of(lobe: Lobe) -> tuple[float, float, float]:

@@ -27,9 +27,9 @@ from ..method.solution import Solution, Step
 from ..receivers.base import Receivers
 from ..scene.world import World
 
-KINDS = {"time": "s", "rays": "rays", "error": "relative RMSE"}
+BUDGET_KINDS = {"time": "s", "rays": "rays", "error": "relative RMSE"}
 SPACING = 1.35  # ratio of the times of two snapshots
-FIRST = 0.02  # seconds before which no second snapshot is made
+FIRST_SNAPSHOT = 0.02  # seconds before which no second snapshot is made
 EVERYWHERE = 0.99  # share of receivers that must have got an answer
 STATES = {
     "finished": "finished by itself",
@@ -49,8 +49,8 @@ class Budget:
     limit: float = 300.0
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise SettingsError("budget", f"{self.kind!r} is not possible", "Choose one of: " + ", ".join(KINDS))
+        if self.kind not in BUDGET_KINDS:
+            raise SettingsError("budget", f"{self.kind!r} is not possible", "Choose one of: " + ", ".join(BUDGET_KINDS))
         if not (math.isfinite(self.value) and self.value > 0 and math.isfinite(self.limit) and self.limit > 0):
             raise SettingsError("budget", f"{self.value} with a limit of {self.limit} s is not possible", "Give numbers above 0")
 
@@ -222,7 +222,7 @@ class Meter:
         if self.step is None or self.step is self._seen or not (now or self.seconds >= self._next):
             return None
         self._seen = self.step
-        self._next = max(FIRST, SPACING * self.seconds)
+        self._next = max(FIRST_SNAPSHOT, SPACING * self.seconds)
         found = self.solution()
         judged = error_of(found, self.reference) if self.reference is not None else None
         point = Point(self.seconds, int(found.rays), judged[0] if judged else None)

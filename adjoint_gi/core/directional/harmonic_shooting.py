@@ -11,7 +11,7 @@ import numpy as np
 
 from ..base.parallel import in_order
 from ..base.settings import NO_LIMIT
-from ..radiosity.southwell import most_first
+from ..radiosity.southwell import length_classes, most_first
 from .harmonics import HemisphereHarmonics
 from .rays import DirectionalRays
 from .scattering import Scattering
@@ -37,7 +37,7 @@ class HarmonicShooting:
         self.bounded = high < NO_LIMIT
         n = 2 * e.count
         self.area = np.repeat(e.area, 2)
-        self.unshot = np.zeros((max(1, high) if self.bounded else max(2, low), n, basis.size, 3))
+        self.unshot = np.zeros((length_classes(low, high), n, basis.size, 3))
         self.direct, self.indirect = np.zeros((n, basis.size, 3)), np.zeros((n, basis.size, 3))
         self.emitted, self.absorbed, self.escaped, self.cut = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
         self.count = self.shots = 0

@@ -13,7 +13,7 @@ import numpy as np
 
 from .pairs import Pairs
 
-MOST = 8
+MAX_ORDER = 8
 
 
 def real_harmonics(order: int, w: np.ndarray) -> np.ndarray:

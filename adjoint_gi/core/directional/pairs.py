@@ -47,7 +47,7 @@ def given_directions(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def pairs(kind: int, alpha: float, ior: float, front: bool, table: bsdf.BsdfTable, count: int = PAIRS) -> Pairs:
-    """The pairs of a white lobe (a kind of `bsdf.KINDS`) of single scattering, seen from the outside, or from the back."""
+    """The pairs of a white lobe (a kind of `bsdf.LOBE_KINDS`) of single scattering, seen from the outside, or from the back."""
     given, u = given_directions(count)
     n = len(given)
     lobes = bsdf.white_lobe(kind, alpha, ior, given, front, table)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..bsdf import table as bsdf
 from ..bsdf.curves import Mixture, rounded
-from ..bsdf.lobes import KINDS, LOBES
+from ..bsdf.lobes import LOBE_KINDS, LOBES
 from ..elements.elements import COLOR_GRID, Elements
 from .pairs import PAIRS, Pairs, pairs
 
@@ -188,8 +188,8 @@ def _kernels(
     lobe = LOBES[kind]
     measure = np.array([1.0, ior * ior if lobe.refracts else 1.0])
     name, width = lobe.split(alpha)
-    front = pairs(KINDS[name], width, ior, True, table, count)
-    back = front if lobe.two_sided else pairs(KINDS[name], width, ior, False, table, count)
+    front = pairs(LOBE_KINDS[name], width, ior, True, table, count)
+    back = front if lobe.two_sided else pairs(LOBE_KINDS[name], width, ior, False, table, count)
     if coating is not None:
         front, back = (
             p.times(table.below_coat(coating.take(np.zeros(len(p.given), int)), p.given[:, 2], p.other[:, 2])) for p in (front, back)

@@ -31,7 +31,7 @@ from ..walks.paths import Gathered
 from .detectors import CameraDetector, FaceDetector
 
 WALKS_PER_BATCH = 1 << 14  # walks in a batch
-FEWEST = 16  # batches, so that their spread tells the error
+MIN_BATCHES = 16  # batches, so that their spread tells the error
 
 
 def scattering_table(world: World) -> BsdfTable | None:
@@ -88,7 +88,7 @@ def walks_from_camera(
     """
     sides = 2 * elements.count
     table = scattering_table(world)
-    batches = max(FEWEST, -(-samples * sides // (2 * WALKS_PER_BATCH)))
+    batches = max(MIN_BATCHES, -(-samples * sides // (2 * WALKS_PER_BATCH)))
     n = -(-samples * sides // batches)
     seed = rng.integers(0, 1 << 63, 4).tolist()
 

@@ -13,7 +13,7 @@ from .point import PointLights
 from .spot import SpotLights
 from .sun import SunLights
 
-KINDS: dict[str, type[LampKind]] = {"point": PointLights, "spot": SpotLights, "area": AreaLights, "sun": SunLights}
+LAMP_KINDS: dict[str, type[LampKind]] = {"point": PointLights, "spot": SpotLights, "area": AreaLights, "sun": SunLights}
 
 
 class Lamps:
@@ -27,10 +27,10 @@ class Lamps:
         self.count = len(lights)
         members: dict[tuple[str, str], list[int]] = {}
         for index, light in enumerate(lights):
-            if light.kind not in KINDS:
+            if light.kind not in LAMP_KINDS:
                 raise ValueError(f"{light.name}: unknown kind of light {light.kind!r}")
-            members.setdefault((light.kind, KINDS[light.kind].form_of(light)), []).append(index)
-        self.kinds: list[LampKind] = [KINDS[kind]([lights[i] for i in rows], world) for (kind, _), rows in members.items()]
+            members.setdefault((light.kind, LAMP_KINDS[light.kind].form_of(light)), []).append(index)
+        self.kinds: list[LampKind] = [LAMP_KINDS[kind]([lights[i] for i in rows], world) for (kind, _), rows in members.items()]
 
         # Where each lamp is: its kind, and its index there.
         self._kind, self._row = np.zeros(self.count, np.int8), np.zeros(self.count, np.int64)

@@ -24,8 +24,16 @@ from .transports import Transport
 # Of the sides that shoot together, at least; more where there are more sides, as each group costs a look at all of them.
 RAYS_PER_GROUP = 1 << 16
 MOST_RAYS_PER_GROUP = 1 << 18
-FEWEST, MOST = 8, 1 << 17  # rays of one shot
-AT_ONCE = 1 << 14  # sides that shoot together at most
+MIN_RAYS_PER_SHOT, MAX_RAYS_PER_SHOT = 8, 1 << 17  # rays of one shot
+MAX_SIDES_PER_GROUP = 1 << 14  # sides that shoot together at most
+
+
+def length_classes(low: int, high: int) -> int:
+    """Classes that unshot light is kept in, by the segments behind it, where paths of `low` to `high` segments count.
+
+    One for each length up to `high`, where that bounds the paths; else as many as tell which light is too short, the last for all longer.
+    """
+    return max(1, high) if high < NO_LIMIT else max(2, low)
 
 
 class ShootingState(Protocol):
@@ -64,9 +72,9 @@ class Grouping:
 
     carriers: int
     batch: int
-    sides: int = AT_ONCE
-    fewest: int | Callable[[np.ndarray], np.ndarray] = FEWEST
-    most: int = MOST
+    sides: int = MAX_SIDES_PER_GROUP
+    fewest: int | Callable[[np.ndarray], np.ndarray] = MIN_RAYS_PER_SHOT
+    most: int = MAX_RAYS_PER_SHOT
 
     @classmethod
     def for_sides(cls, sides: int, carriers: int, least: int = RAYS_PER_GROUP) -> Grouping:
@@ -169,7 +177,7 @@ class DiffuseShooting:
         self.transport = transport
         self.low, self.high = low, high
         self.bounded = high < NO_LIMIT
-        classes = max(1, high) if self.bounded else max(2, low)
+        classes = length_classes(low, high)
         n = len(transport.area)
         self.unshot = np.zeros((classes, n, 3))
         self.direct = np.zeros((n, 3))

@@ -16,7 +16,7 @@ from .charts import Charts, Mesh, area_vectors, carry, islands, numbered, signed
 from .projection import pieces, project, tightest
 
 NONE = np.uint32(0xFFFFFFFF)  # the chart of what xatlas left out
-LARGEST = 5000  # triangles of a region that xatlas is given: its time grows with the square, 0.6 s here
+MAX_REGION_TRIANGLES = 5000  # triangles of a region that xatlas is given: its time grows with the square, 0.6 s here
 EXTENT = 1e4  # largest extent of what xatlas sees: it ignores triangles of less than 1.2e-7 square units, which float32 cannot hold then
 COARSE = 512  # texels a side of the packing xatlas does along with the charts, which nothing comes of
 WIDEST = 4096  # texels of a chart there: one that a bad map has drawn out must not become an image of that width
@@ -71,7 +71,7 @@ def _grow(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Flat corners (nt, 3, 2) in units of xatlas and its charts (nt,); NaN for triangles it left out or was not given."""
     region = smooth_regions(mesh)
     order = np.argsort(region, kind="stable")
-    parts = [part for part in np.split(order, np.flatnonzero(np.diff(region[order])) + 1) if len(part) <= LARGEST]
+    parts = [part for part in np.split(order, np.flatnonzero(np.diff(region[order])) + 1) if len(part) <= MAX_REGION_TRIANGLES]
     low, high = mesh.corners().min(axis=(0, 1)), mesh.corners().max(axis=(0, 1))
     scale = EXTENT / max(float((high - low).max()), 1e-300)
     place = ((mesh.vertices - 0.5 * (low + high)) * scale).astype(np.float32)

@@ -14,7 +14,7 @@ from ..scene.world import World
 from .base import SurfaceReceivers
 from .rasterize import TEXELS_PER_CHUNK, UvTriangles, claim_places
 
-LARGEST = 16384  # texels a side
+MAX_RESOLUTION = 16384  # texels a side
 MEMORY_LIMIT = 16 << 30  # bytes
 
 
@@ -103,8 +103,8 @@ def rasterize(
     with the lower index. Raises TargetError for a missing layer or when no texel is covered, MemoryRefused above `memory_limit`.
     """
     width, height = (resolution, resolution) if isinstance(resolution, int) else resolution
-    if not (1 <= width <= LARGEST and 1 <= height <= LARGEST):
-        raise TargetError("Lightmap", f"{width} x {height} texels are not possible", f"Choose 1 to {LARGEST}")
+    if not (1 <= width <= MAX_RESOLUTION and 1 <= height <= MAX_RESOLUTION):
+        raise TargetError("Lightmap", f"{width} x {height} texels are not possible", f"Choose 1 to {MAX_RESOLUTION}")
     if subsamples < 1:
         raise TargetError("Lightmap", f"{subsamples} sub-samples are not possible", "Choose at least 1")
     need = memory(width, height, subsamples)

@@ -18,7 +18,7 @@ import numpy as np
 
 from .sobol import DIMENSIONS, hashed, sobol_at
 
-KINDS = (
+SAMPLERS = (
     ("independent", "Independent", "Plain random numbers"),
     ("jittered", "Jittered", "One random point in each cell of a grid over every pair of dimensions (Cook 1986)"),
     ("sobol", "Sobol", "Points of the Sobol sequence, shifted at random; powers of two are best"),
@@ -29,7 +29,7 @@ U = np.uint32
 
 @dataclass(frozen=True)
 class Sampler:
-    """Sets of one kind, one of `KINDS`. `seed` is any whole number."""
+    """Sets of one kind, one of `SAMPLERS`. `seed` is any whole number."""
 
     kind: str
     seed: int

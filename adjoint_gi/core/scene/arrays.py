@@ -256,7 +256,8 @@ class SceneArrays:
     polygon         (nt,) int32 polygon of the object's evaluated mesh
     corners         (nt, 3) int32 corner (loop) of the object's evaluated mesh
     background      radiance of the world
-    visibility      (number of objects,) uint8, the bits of `RayKind` that meet each object; None: all meet all
+    visibility      (number of objects,) uint8, the bits of `RayKind` that meet each object; None: all meet all. Extraction from Blender
+                    does not fill it yet
     """
 
     vertices: np.ndarray

@@ -19,7 +19,7 @@ from ..walks.mirror_chains import Chains
 from .known_light import KnownLight
 
 PARTICLES_PER_BATCH = 1 << 14
-FEWEST = 256  # particles of a lamp
+MIN_PARTICLES = 256  # particles of a lamp
 
 
 class Caustics:
@@ -40,7 +40,7 @@ class Caustics:
         if chains.any and particles:
             self._sources = emitters.lamps.sources() + emitters.background.sources()
         power = np.array([s.power for s in self._sources])
-        self._counts = [max(FEWEST, int(particles * p / power.sum())) for p in power]
+        self._counts = [max(MIN_PARTICLES, int(particles * p / power.sum())) for p in power]
         self.by_length = np.zeros((chains.depth + 2 if self._sources else 2, sides, 3))
         self.unmet = np.zeros_like(self.by_length)
 

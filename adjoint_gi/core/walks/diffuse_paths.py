@@ -1,7 +1,7 @@
-"""Random walks that gather: many paths side by side, compacted as they end, from receivers to emitters.
+"""Paths through scenes that are diffuse all over: cheaper vertices for the walk of `paths`, and batches of paths from receivers.
 
-At each vertex of a path one light point is drawn, and the ray that goes on also counts the emission it meets; the two are joined
-by multiple importance sampling (`core.lights.direct`). Vectors are component first, (3, n) float32. Diffuse surfaces.
+A vertex looks up no BSDF: directions are drawn by the cosine, and reflectance is an albedo that goes into the weights of the paths. Its
+random numbers are low-discrepancy ones at the first surfaces. Vectors are component first, (3, n) float32.
 """
 
 from __future__ import annotations

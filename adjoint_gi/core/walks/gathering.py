@@ -83,12 +83,18 @@ class Run:
         """Whether radiance is wanted, not irradiance."""
         return self.receivers.measure == "radiance"
 
-    def steps(
-        self, estimate: Estimate | None, samples: int, rng: np.random.Generator, place: Place | None = None, batch: int = SAMPLES_PER_BATCH
+    def random_samples(
+        self,
+        samples: int,
+        rng: np.random.Generator,
+        estimate: Estimate | None = None,
+        *,
+        place: Place | None = None,
+        batch: int = SAMPLES_PER_BATCH,
     ) -> Iterator[Step]:
         """Random samples of every receiver, pass by pass, with a generator for each batch of `batch` samples, then the finished result.
 
-        `place` stands in for `estimate` in methods that choose the random numbers of every sample themselves.
+        Either `estimate` is given, or `place` by methods that choose the random numbers of every sample themselves.
         """
         seed = rng.integers(0, 1 << 63, 4).tolist()
 
@@ -102,9 +108,9 @@ class Run:
                 points, here = place(owner, np.tile(np.arange(index, index + many), last - first), generator)
             return self._evaluate(points, first, last, many, here, generator)
 
-        yield from self.passes(work, samples, batches(self.receivers.count, samples, batch))
+        yield from self.sample_batches(work, samples, batches(self.receivers.count, samples, batch))
 
-    def passes(self, work: Work, samples: int, items: Iterator[tuple[int, int, int, int]]) -> Iterator[Step]:
+    def sample_batches(self, work: Work, samples: int, items: Iterator[tuple[int, int, int, int]]) -> Iterator[Step]:
         """`work` on all `items` of `batches`, over threads but added up in order, then the finished result.
 
         What receivers are made of is read in between, so that light shows at once; camera samples find that out by themselves.
@@ -124,7 +130,7 @@ class Run:
         yield from self._rest(reading, 1.0)
         yield from self.finish(f"{samples} samples")
 
-    def sites(self, estimate: Estimate, batch: int = SAMPLES_PER_BATCH) -> Iterator[Step]:
+    def fixed_points(self, estimate: Estimate, batch: int = SAMPLES_PER_BATCH) -> Iterator[Step]:
         """Every receiver's fixed points once, `batch` at a time: for methods without random numbers.
 
         `estimate` gets a generator of fixed seed.

@@ -14,10 +14,11 @@ import numpy as np
 from ..bsdf import table as bsdf
 from ..bsdf.lobes import FIRST_PASS_LOBES, SHINY
 from ..scene.world import Surface, World
+from .paths import russian_roulette
 from .radiance import leaving
 from .shooting import Arrived, Departed, Flight, shoot
 
-ROULETTE = 4  # segments after which chains end at random
+ROULETTE_FROM = 4  # segments after which chains end at random
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,10 +105,9 @@ class Chains:
         drawn = bsdf.sample(lobes, rng)
         go = leaving(surface, drawn)
         weight = at.weight[rows[go]] * drawn.weight[go]
-        if at.segments >= ROULETTE:
-            chance = np.clip(weight.max(axis=1), np.float32(0.05), np.float32(1))
-            keep = np.flatnonzero(rng.random(len(go), np.float32) < chance)
-            go, weight = go[keep], weight[keep] / chance[keep, None]
+        if at.segments >= ROULETTE_FROM:
+            survive, chance = russian_roulette(weight.max(axis=1), rng.random(len(go), np.float32))
+            go, weight = go[survive], weight[survive] / chance[:, None]
         origin = np.ascontiguousarray(self.world.leave(surface.take(go), drawn.through[go]))
         flight = Flight(origin, np.ascontiguousarray(drawn.wi[go]), drawn.kind[go], weight)
         return Mirrored(rows[go], flight, drawn.delta[go])

@@ -19,7 +19,7 @@ PARTICLES = 8192
 LENGTH = 8  # segments a particle is followed
 LEAK = 0.03  # a scene that less than this share of the reflected particles leaves is meant to be closed
 BACK = 0.01  # share of arrivals at backs from which on it is worth a warning
-FEWEST = 50  # arrivals at an object from which on its share means something
+MIN_ARRIVALS = 50  # arrivals at an object from which on its share means something
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ def notices(world: World, wanted: set[int] | None = None, particles: int = PARTI
         out.append(Notice("Scene", reason, "Close the gaps, or see the escaped flux in the report"))
     elif found.escaped >= LEAK:
         out.append(Notice("Scene", f"is open: {100 * found.escaped:.0f} % of the light leaves it after a reflection", "", "info"))
-    for index in np.flatnonzero((found.back > BACK) & (found.arrivals >= FEWEST)):
+    for index in np.flatnonzero((found.back > BACK) & (found.arrivals >= MIN_ARRIVALS)):
         if wanted is None or index in wanted:
             reason = f"{100 * found.back[index]:.0f} % of the light that reaches it arrives at the back of its faces"
             remedy = "Recalculate its normals, unless it is an open sheet; only fronts are baked"

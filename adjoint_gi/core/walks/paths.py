@@ -37,15 +37,27 @@ def by_root(strength: np.ndarray) -> np.ndarray:
     return np.minimum(np.sqrt(strength), ONE)
 
 
+def russian_roulette(
+    strength: np.ndarray, luck: np.ndarray, survival: Callable[[np.ndarray], np.ndarray] = by_weight
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which of paths of `strength` (n,) go on, (k,) int, and the chance (k,) that each had; dividing their weights by it keeps the mean.
+
+    luck (n,): random numbers. survival: the chance for a strength.
+    """
+    chance = survival(strength)
+    survive = np.flatnonzero(luck < chance)
+    return survive, chance.take(survive)
+
+
 @dataclass(frozen=True, eq=False)
 class Walk:
     """What a walk needs besides its start.
 
-    min_length, max_length: path lengths that count. roulette: segments after which paths end at random, with the chance `survival`.
-    lights, lobes: use light points; use what BSDF rays meet. With both, each is weighted; with one, it stands alone.
+    min_length, max_length: path lengths that count. roulette_from: segments after which paths end at random, with the chance `survival`.
+    draw_lights, meet_lights: use light points; use what BSDF rays meet. With both, each is weighted; with one, it stands alone.
     uniform: draw directions evenly over the sphere instead of by the BSDF (mirrors still by theirs): what importance sampling saves.
     emission: emitted radiance of triangles, for emission that is not the same in all directions, as in a Kirchhoff cavity; light points
-    know nothing of it, so `lights` must be off.
+    know nothing of it, so `draw_lights` must be off.
     """
 
     world: World
@@ -53,9 +65,9 @@ class Walk:
     table: bsdf.BsdfTable
     min_length: int = 0
     max_length: int = 64
-    roulette: int = 3
-    lights: bool = True
-    lobes: bool = True
+    roulette_from: int = 3
+    draw_lights: bool = True
+    meet_lights: bool = True
     uniform: bool = False
     emission: Emitted | None = None
     survival: Callable[[np.ndarray], np.ndarray] = by_weight
@@ -68,13 +80,13 @@ class Walk:
     @cached_property
     def draws(self) -> bool:
         """Whether there is anything to draw light points from."""
-        return self.lights and self.emitters.any_drawn()
+        return self.draw_lights and self.emitters.any_drawn()
 
     @cached_property
     def meets(self) -> bool:
         """Whether a ray can meet emission."""
         e = self.emitters
-        return e.any_background or e.any_mesh or len(e.sized if self.table.count or not self.lights else e.shared) > 0
+        return e.any_background or e.any_mesh or len(e.sized if self.table.count or not self.draw_lights else e.shared) > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +213,7 @@ class Paths:
         """Go on from the surfaces that were hit, as far as roulette lets paths: dividing by its chance keeps the estimate unbiased."""
         walk, hit = self.walk, self.hit
         rows = np.flatnonzero(hit[0] >= 0)
-        luck = self.rng.random(len(rows), np.float32) if self.length >= walk.roulette else None
+        luck = self.rng.random(len(rows), np.float32) if self.length >= walk.roulette_from else None
         if self.length == walk.max_length:
             self.take(rows[:0])
             return
@@ -214,9 +226,8 @@ class Paths:
             survive = np.flatnonzero(strength > 0)
             weight = weight.take(survive, axis=1)
         else:
-            chance = walk.survival(strength)
-            survive = np.flatnonzero(luck < chance)
-            weight = weight.take(survive, axis=1) / chance.take(survive)
+            survive, chance = russian_roulette(strength, luck, walk.survival)
+            weight = weight.take(survive, axis=1) / chance
         rows = rows.take(survive)
         self._keep(rows)
         self.weight = weight

@@ -55,7 +55,7 @@ class LobeVertices:
             return Response((value.max(axis=1) > 0) & agrees, pdf / share, 1 / share, value.T)
 
         u = rng.random((3, len(able)), np.float32) if uniform is None else uniform[:, able]
-        rows, value, cast = direct.from_lights(world, self.walk.emitters, origin, u, respond, joined=self.walk.lobes)
+        rows, value, cast = direct.from_lights(world, self.walk.emitters, origin, u, respond, joined=self.walk.meet_lights)
         return able[rows], value, cast
 
     def scatter(self, rng: np.random.Generator, uniform: np.ndarray | None = None) -> Ray:
@@ -67,8 +67,8 @@ class LobeVertices:
         go = leaving(surface, drawn)
         origin = walk.world.leave(surface.take(go), drawn.through[go])
         delta = drawn.delta[go]
-        pdf = np.maximum(drawn.pdf_w[go] / light_share(self.lobes)[go], 2 * LEAST) if walk.lobes else LEAST
-        pdf = np.where(delta, INF, pdf) if walk.lights else np.full(len(go), INF)
+        pdf = np.maximum(drawn.pdf_w[go] / light_share(self.lobes)[go], 2 * LEAST) if walk.meet_lights else LEAST
+        pdf = np.where(delta, INF, pdf) if walk.draw_lights else np.full(len(go), INF)
         return Ray(go, columns(origin), columns(drawn.wi[go]), drawn.kind[go], pdf, drawn.weight[go].T, delta)
 
     def reflectance(self, hit: Hit, rows: np.ndarray) -> None:
