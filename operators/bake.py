@@ -84,7 +84,7 @@ class ADJOINTGI_OT_write(Guarded, bpy.types.Operator):
 
 
 class ADJOINTGI_OT_check(bpy.types.Operator):
-    """Look for what would keep the bake from working"""
+    """Look for what would prevent the bake"""
 
     bl_idname = "adjoint_gi.check"
     bl_label = "Check"

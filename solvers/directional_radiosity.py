@@ -53,13 +53,13 @@ class DirectionalSettings(RadiositySettings):
         "Strategy",
         "How the linear system is relaxed; the solution is the same",
         gathering=("Gathering", "Elements collect, bin by bin, what others send them"),
-        shooting=("Shooting", "Elements with the most unsent radiance send it first (Southwell)"),
+        shooting=("Shooting", "Elements with the most unshot radiance shoot it first (Southwell)"),
     )
     solver: str = common.relaxation(
         "Gathering Solver", "Order of gathering; bounded path lengths are always found by Jacobi, one bounce at a time"
     )
     tolerance: float = common.tolerance(1e-4, "Relative change at which the system is solved")
-    max_iterations: int = common.max_iterations(1000, "The method ends, and says so, after this many iterations or shots", max=1_000_000)
+    max_iterations: int = common.max_iterations(1000, "The method stops with a warning after this many iterations or shots", max=1_000_000)
     memory_limit: int = common.memory_limit("The method does not start when it needs more than this")
 
 
@@ -84,7 +84,7 @@ class DirectionalRadiosity(Solver):
             Nothing is sharper than a bin and an element: mirrors and glass show blurred, stepped pictures
             Memory grows with elements times bins times rays; it is said before the start and refused over the limit
             Elements are flat: shading normals change only the camera's direct light
-            Lamps are no geometry: mirrors and glass pass on their light as it falls on them, but shadow rays stop at glass
+            Lamps are not geometry: mirrors and glass pass on their light as it falls on them, but shadow rays stop at glass
             Light inside glass is given as basic radiance, divided by the square of the index
             A bounded path length is found by Jacobi iterations, whatever the strategy
         """),

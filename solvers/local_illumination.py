@@ -47,7 +47,7 @@ class LocalSettings(base.Settings):
 
     model: str = setting("cook", "Model", "Which reflection model shades the surfaces", choices=MODELS)
     ambient: float = common.ambient_radiance("all")
-    shadows: bool = setting(True, "Shadows", "Light elements that something hides do not count")
+    shadows: bool = setting(True, "Shadows", "Occluded light points contribute nothing")
     light_points: int = common.light_points(16)
 
 
@@ -70,7 +70,7 @@ class LocalIllumination(Solver):
         lobes=frozenset({"diffuse", "emission", "glossy", "metallic", "specular"}),
         limits=lines("""
             No interreflection: indirect light is one constant, the ambient radiance
-            Soft shadows are as many hard ones as there are light points
+            Soft shadows are made of one hard shadow per light point
             Roughness maps to the exponent (2 / r^4 - 2) / 4 of a cosine lobe; mirrors and glass reflect only highlights
             Light of the world arrives only through the ambient radiance
         """),

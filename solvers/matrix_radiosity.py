@@ -44,7 +44,7 @@ class MatrixSettings(RadiositySettings):
     )
     solver: str = common.relaxation("Solver", "How the linear system is relaxed", "Uses new values at once; about half the iterations")
     tolerance: float = common.tolerance(1e-6, "Relative change of the irradiance at which the system is solved")
-    max_iterations: int = common.max_iterations(1000, "The solver gives up, and says so, after this many")
+    max_iterations: int = common.max_iterations(1000, "The solver stops with a warning after this many")
     memory_limit: int = common.memory_limit()
 
 

@@ -1,6 +1,6 @@
 """Progressive multi-pass method (Chen, Rushmeier, Miller and Turner 1991; review, sections 5.2.1 (i) and 7).
 
-Both strategies, both natures. First progressive radiosity shoots the light of all sources among the elements, over mirrors as well
+Both strategies, both natures. First progressive radiosity shoots the light of all sources among the elements, via mirrors as well
 (extended form factors), which shows a complete picture almost at once. Then Monte Carlo passes refine it, sample by sample:
 
     high frequencies    direct light, and all that mirrors and glossy surfaces show, by path tracing from the receivers
@@ -66,7 +66,7 @@ class MultiPassSettings(RadiositySettings):
     )
     tolerance: float = common.unshot(1e-3, "the first pass")
     max_shots: int = common.max_shots(1_000_000, "The first pass")
-    depth: int = common.mirror_depth("Mirrors in a row that first-pass light goes over")
+    depth: int = common.mirror_depth("Most mirrors in a row on the way of first-pass light")
     particles: int = common.caustic_particles(200_000)
     samples: int = common.samples(64, "Second-pass samples of each texel, vertex or pixel")
     hops: int = setting(
@@ -160,7 +160,7 @@ class MultiPassRun:
         run.warnings += dark_notices(self.elements, self.outside.straight)
         for share in self.answer.prepare():
             yield 0.2 + 0.1 * share, f"Receivers, {share:.0%}"
-        # Light of lamps over mirrors is indirect; it comes in after the state has begun, as its second class.
+        # Light of lamps via mirrors is indirect; it comes in after the state has begun, as its second class.
         self.state = state = DiffuseShooting(self.transport, self.emitted, self.outside.straight)
         state.arrive_later(self.outside.caustics.total)
         shooting = Southwell(state, Grouping.for_sides(len(state.direct), s.rays, MIN_RAYS_PER_GROUP), s.tolerance, s.max_shots)

@@ -1,7 +1,7 @@
 """Path tracing (Kajiya 1986; review, section 6.2, Eq. 12): random walks on the radiance equation.
 
 Gathering, nondeterministic. A path starts at a receiver, goes on in one direction drawn at each surface, and adds up the emission
-it comes upon:
+it meets:
 
     <Lo(x)> = Le(x) + Le(x') + Le(x'') + ...                                                                          (12)
 

@@ -79,7 +79,7 @@ class PotentialSettings(base.Settings):
         "Scheme",
         "How the linear system is relaxed",
         jacobi=("Jacobi", "All elements at once; each iteration adds one reflection"),
-        southwell=("Southwell", "The elements with the most potential left to pass on, first"),
+        southwell=("Southwell", "The elements with the most unshot potential, first"),
     )
     factors: str = choice(
         "matrix",
@@ -91,7 +91,7 @@ class PotentialSettings(base.Settings):
     rays: int = common.element_rays(1024, "Rays that find the form factors of an element")
     max_edge: float = common.max_edge("Longest edge of the elements; 0 chooses it")
     tolerance: float = common.tolerance(1e-6, "Share of the potential at which relaxation ends")
-    max_iterations: int = common.max_iterations(1000, "Relaxation gives up, and says so, after these")
+    max_iterations: int = common.max_iterations(1000, "Relaxation stops with a warning after these")
     samples: int = common.samples(
         256, "Walks from each texel, vertex, pixel or element side; for the camera, that many for each element side in all", label="Walks"
     )

@@ -1,7 +1,7 @@
 """Directional radiance in spherical harmonics, shot progressively (Sillion, Arvo, Westin and Greenberg 1991; review, section 7).
 
-Shooting, deterministic. Each side of an element keeps the radiance it has still to send as coefficients of harmonics h_a over its
-hemisphere. The side with most to send shoots it along rays; a BRDF is a matrix M between what arrives and what leaves:
+Shooting, deterministic. Each side of an element keeps its unshot radiance as coefficients of harmonics h_a over its
+hemisphere. The side with the most shoots it along rays; a BRDF is a matrix M between what arrives and what leaves:
 
     q(j, b) += sum over rays of dPhi h_b(wi) / A(j),   L(j, wo) += sum_ab h_a(wo) M_ab dq(j, b),   dL(j) likewise,  dL(i) = 0
 
@@ -64,7 +64,7 @@ class HarmonicSettings(RadiositySettings):
 
 @register
 class SphericalHarmonics(Solver):
-    """Shoots radiance by direction from the sides that have most of it to send."""
+    """Shoots radiance by direction from the sides that have most of it unshot."""
 
     spec = MethodSpec(
         id="spherical_harmonics",
@@ -84,8 +84,8 @@ class SphericalHarmonics(Solver):
             Radiance that rings below 0 is shot as it is, so that flux is kept, and is shown as 0
             Mirrors and glass are taken at the resolution of the harmonics
             Elements are flat: shading normals change only the camera's direct light
-            Lamps are no geometry, and shadow rays stop at glass
-            Ringing between mirror-like surfaces may never die away; shooting ends, and says so, when no less is left to send
+            Lamps are not geometry, and shadow rays stop at glass
+            Ringing between mirror-like surfaces may never die away; shooting stops with a warning when the unshot light falls no more
             Sides shoot in groups, brightest first, instead of one by one
         """),
         elements=2000,

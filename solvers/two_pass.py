@@ -4,9 +4,9 @@ Gathering, deterministic in its first pass and not in its second. First, the rad
 
     B(i) = E(i) + rho(i) sum_j Fext(ij) B(j)                                                  (11, with extended form factors)
 
-where Fext(ij) counts what i sees of j straight and over any number of mirrors, panes of glass and glossy surfaces. It is found by
-tracing: rays of an element that meet such a surface go on by its BSDF. Light of lamps that comes over mirrors (caustics) is traced
-from the lamps onto the elements. Second, a view pass: mirrors and glossy surfaces that a receiver sees, directly or over others, are
+where Fext(ij) counts what i sees of j straight and via any number of mirrors, panes of glass and glossy surfaces. It is found by
+tracing: rays of an element that meet such a surface go on by its BSDF. Light of lamps that comes via mirrors (caustics) is traced
+from the lamps onto the elements. Second, a view pass: mirrors and glossy surfaces that a receiver sees, directly or via others, are
 sampled by their BSDF, and the diffuse surfaces that these rays meet have the radiosity that the first pass found.
 
 J. R. Wallace, M. F. Cohen and D. P. Greenberg, "A Two-Pass Solution to the Rendering Equation: A Synthesis of Ray Tracing and Radiosity
@@ -54,15 +54,15 @@ class TwoPassSettings(RadiositySettings):
     """Settings of the two-pass method; the seed matters only to the view pass."""
 
     rays: int = common.element_rays(256, "Rays that find the extended form factors of each element")
-    depth: int = common.mirror_depth("Mirrors, panes and glossy surfaces in a row that first-pass light goes over")
+    depth: int = common.mirror_depth("Most mirrors, panes and glossy surfaces in a row on the way of first-pass light")
     rough: bool = setting(
         True,
         "Rough Lobes in First Pass",
-        "First-pass light goes over rough glossy lobes as well; off, only over perfect mirrors and clear glass",
+        "First-pass light is followed via rough glossy lobes as well; off, only via perfect mirrors and clear glass",
     )
     particles: int = common.caustic_particles(200_000)
     tolerance: float = common.tolerance(1e-5, "Relative change of the irradiance at which the first pass is solved")
-    max_iterations: int = common.max_iterations(500, "The first pass gives up, and says so, after this many")
+    max_iterations: int = common.max_iterations(500, "The first pass stops with a warning after this many")
     samples: int = common.samples(32, "View-pass samples of each texel, vertex or pixel", soft_max=1024)
     gather: bool = setting(
         False,
@@ -86,7 +86,7 @@ class TwoPass(Solver):
         title="A Two-Pass Solution to the Rendering Equation: A Synthesis of Ray Tracing and Radiosity Methods",
         equation="B(i) = E(i) + rho(i) sum_j Fext(ij) B(j)  (11, extended)",
         section="5.2.1 (i)",
-        idea="Radiosity with form factors that count mirrors, then rays from the eye over mirrors to the known diffuse surfaces.",
+        idea="Radiosity with form factors that count mirrors, then rays from the eye via mirrors to the known diffuse surfaces.",
         lobes=FIRST_PASS_LOBES,
         limits=lines("""
             Indirect shadows and caustics are as sharp as the elements are small; caustics of lamps have the noise of their particles
@@ -122,7 +122,7 @@ class TwoPass(Solver):
         run.warnings += first.warnings
         known = first.known()
 
-        # 2. View pass: L = Le + T L (Eq. 1), over mirrors and glossy surfaces to diffuse ones, whose B is known.
+        # 2. View pass: L = Le + T L (Eq. 1), via mirrors and glossy surfaces to diffuse ones, whose B is known.
         unmet = first.outside.caustics.unmet_light(s.min_length, s.max_length) if s.gather else None
         walk = Walk(world, emitters, first.chains.table, s.min_length, s.max_length)
         view = View(walk, known, int(s.gather), s.direct_light == "receivers", unmet)
@@ -151,7 +151,7 @@ class FirstPass:
 
     def run(self) -> Iterator[tuple[float, str]]:
         """Yield the share done and what is being done."""
-        # 1. Light of lamps and background, straight and over mirrors.
+        # 1. Light of lamps and background, straight and via mirrors.
         yield from self.outside.run(0.4)
         self.warnings += dark_notices(self.elements, self.outside.straight)
         # 2. Fext(ij) of the sides that reflect diffusely, or that are asked for.
@@ -172,7 +172,7 @@ class FirstPass:
         for length in range(2, len(t.rows)):
             light = t.through(t.emitted, t.rows[length], emitted=True)
             arriving.append(light + by_length[length] if length < len(by_length) else light)
-            yield 0.9, "Light over mirrors"
+            yield 0.9, "Light via mirrors"
         self.first = arriving[1]
         return arriving
 

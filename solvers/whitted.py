@@ -86,10 +86,10 @@ class Whitted(Solver):
         lobes=ALL_LOBES,
         limits=lines("""
             No diffuse interreflection: it is one constant, the ambient radiance
-            No caustics: light that reaches a diffuse surface over mirrors or through glass is not found; glass casts full shadows
+            No caustics: light that reaches a diffuse surface via mirrors or through glass is not found; glass casts full shadows
             Rough lobes reflect lights only, or are taken as mirrors, or refused, by setting
             Fresnel's equations for unpolarised light at every surface: a pane passes up to 4 percent too little at grazing angles
-            Soft shadows are as many hard ones as there are light points
+            Soft shadows are made of one hard shadow per light point
             Light of the world is seen in mirrors and through glass, and arrives on other surfaces only through the ambient radiance
         """),
         leaves_out="diffuse interreflection and caustics",

@@ -1,4 +1,4 @@
-"""Path tracing over mirrors, glass and rough lobes, and with each variance reduction switched off."""
+"""Path tracing via mirrors, glass and rough lobes, and with each variance reduction switched off."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Everything that would keep a bake from working, or make its result a surprise, found before it starts.
+"""Everything that would prevent a bake, or make its result a surprise, found before it starts.
 
 Two parts: what can be read off Blender's data at once, and what needs the extracted scene. An error refuses the bake.
 """

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser, in_blender: bool) -> None:
     )
     parser.add_argument("--receivers", default="texture", choices=PLACES, help=f"texels of the objects, or pixels ({default})")
     parser.add_argument("--objects", nargs="+", action="extend", default=[], metavar="NAME", help="mesh objects (default: all rendered)")
-    parser.add_argument("--resolution", type=int, default=32, help=f"texels a side, or pixels of the longer side ({default})")
+    parser.add_argument("--resolution", type=int, default=32, help=f"width and height in texels, or pixels of the longer side ({default})")
     parser.add_argument("--set", action="append", default=[], metavar="METHOD.KEY=VALUE", help="a setting of a method; may be repeated")
     parser.add_argument("--repeats", type=int, default=4, help=f"runs with other seeds, which measure noise of random methods ({default})")
     parser.add_argument("--seed", type=int, default=0, help=f"start of the random numbers ({default})")

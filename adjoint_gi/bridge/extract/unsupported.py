@@ -18,7 +18,7 @@ from .members import node_trees
 
 LAMP_RAYS = ("diffuse", "glossy", "transmission")
 MESH_RAYS = (*LAMP_RAYS, "shadow")
-REMEDY = "Turn it on in Ray Visibility, or leave it out of renders altogether, if Cycles shall do the same"
+REMEDY = "Turn it on in Ray Visibility, or leave it out of renders altogether, to match Cycles"
 
 # Modifiers with a level for the viewport and one for renders (measured: tests/blender/test_extract_viewport.py).
 LEVELS = {
@@ -72,7 +72,7 @@ def name_rays(obj: bpy.types.Object, notices: Notices) -> None:
     linking = getattr(obj, "light_linking", None)
     if linking is not None and (linking.receiver_collection or linking.blocker_collection):
         reason = "lights or shadows some objects only (light linking), which is not computed: it counts for all objects"
-        notices.add(obj.name, reason, "Clear its light linking and shadow linking, if Cycles shall do the same")
+        notices.add(obj.name, reason, "Clear its light linking and shadow linking, to match Cycles")
 
 
 def name_world_rays(world: bpy.types.World, name: str, notices: Notices) -> None:

@@ -20,11 +20,11 @@ RAYS_PER_TASK = 1 << 13  # rays in one piece of work
 
 
 class HarmonicShooting:
-    """What has arrived and what is still to be sent.
+    """What has arrived and what is unshot.
 
     direct, indirect   (n, size, 3) moments of the light that has arrived, of the path lengths asked for; the first one of them,
                        times sqrt(2 pi), is the irradiance
-    unshot             (k, n, size, 3) coefficients of radiance not yet sent, by the segments its light has behind it (see DiffuseShooting)
+    unshot             (k, n, size, 3) coefficients of unshot radiance, by the segments its light has behind it (see DiffuseShooting)
     absorbed, escaped  flux in W by channel, as in DiffuseShooting; `count`: rays cast; `shots`: sides that have shot
     """
 
@@ -91,14 +91,14 @@ class HarmonicShooting:
             self.unshot[min(length, len(self.unshot) - 1), 2 * first : 2 * last] += leaving
 
     def unshot_flux(self) -> np.ndarray:
-        """(n,) W: flux that each side has still to send, absolute values, as light that rings may have a negative one.
+        """(n,) W: unshot flux of each side, absolute values, as light that rings may have a negative one.
 
         Radiance that carries no flux on the whole is ringing, or the noise of few rays, and does not bring a side to the front.
         """
         return self.area * np.abs(np.einsum("a,nac->nc", self.basis.flux, self.unshot.sum(axis=0))).sum(axis=1)
 
     def remaining(self) -> np.ndarray:
-        """(3,) W not yet sent, and cut off by the path length."""
+        """(3,) W of unshot flux, and cut off by the path length."""
         return self._flux(self.unshot.sum(axis=0)) + self.cut
 
     def shoot(self, index: np.ndarray, rays: np.ndarray) -> None:
@@ -160,5 +160,5 @@ class HarmonicShooting:
             self._arrive(np.ascontiguousarray(moments[:, :, 3 * k : 3 * k + 3]), int(behind))
 
     def largest(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Up to `count` sides with the most to send, most first, and how much; sides with nothing are left out."""
+        """Up to `count` sides with the most unshot flux, most first, and how much; sides with nothing are left out."""
         return most_first(self.unshot_flux(), count)

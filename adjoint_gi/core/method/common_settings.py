@@ -77,7 +77,7 @@ def particles(default: int, help: str) -> Any:
 
 def caustic_particles(default: int) -> Any:
     """Particles of a first pass on elements."""
-    help = "Particles from lamps and background for their light on elements over mirrors; 0 leaves this light out"
+    help = "Particles from lamps and background for their light on elements via mirrors; 0 leaves this light out"
     return setting(default, "Caustic Particles", help, min=0, max=1_000_000_000, soft_max=10_000_000)
 
 
@@ -106,7 +106,7 @@ def unshot(default: float, what: str = "the method") -> Any:
 
 def max_shots(default: int, what: str = "The method") -> Any:
     """Bound of shooting."""
-    return setting(default, "Max Shots", f"{what} ends, and says so, after this many shots", min=1, max=MOST_RAYS)
+    return setting(default, "Max Shots", f"{what} stops with a warning after this many shots", min=1, max=MOST_RAYS)
 
 
 def max_iterations(default: int, help: str, *, max: int = 100_000) -> Any:

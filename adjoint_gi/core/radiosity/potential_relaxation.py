@@ -94,7 +94,7 @@ class PotentialSystem:
         yield 0.0
 
     def _southwell(self) -> Iterator[float]:
-        """The sides with the most potential left pass on what they reflect of it. Yields the share that is left."""
+        """The sides with the most unshot potential shoot what they reflect of it. Yields the share that is unshot."""
         g = self.g[self.sides]
         state = DiffuseShooting(self.transport, self.transport.rho * g, np.zeros_like(g), self.low, self.high)
         whole = float((np.repeat(self.elements.area, 2)[self.sides, None] * g).sum())

@@ -49,13 +49,13 @@ class ShootingState(Protocol):
     escaped: np.ndarray
 
     def unshot_flux(self) -> np.ndarray:
-        """(n,) float64 flux in W that each side has still to send, absolute values."""
+        """(n,) float64 unshot flux in W of each side, absolute values."""
 
     def remaining(self) -> np.ndarray:
-        """(3,) float64 flux in W not yet sent, and flux cut off by the path length."""
+        """(3,) float64 unshot flux in W, and flux cut off by the path length."""
 
     def largest(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Up to `count` sides with the most flux to send, most first, and their flux in W; sides with none are left out."""
+        """Up to `count` sides with the most unshot flux, most first, and their flux in W; sides with none are left out."""
 
     def shoot(self, index: np.ndarray, rays: np.ndarray) -> None:
         """Send the unshot light of sides `index` (m,) along `rays` (m,) rays each."""
@@ -165,7 +165,7 @@ class DiffuseShooting:
 
     direct, indirect   (n, 3) irradiance so far, of the path lengths asked for
     first              (n, 3) irradiance so far of one segment, whether asked for or not
-    unshot             (k, n, 3) radiosity not yet sent, by the segments its light has behind it; the last class holds all longer
+    unshot             (k, n, 3) unshot radiosity, by the segments its light has behind it; the last class holds all longer
                        paths where their number does not matter
     absorbed, escaped  flux in W by channel; with the flux that is unshot, and that which was `cut` by the path length, they add up
                        to `emitted` at every moment
@@ -241,11 +241,11 @@ class DiffuseShooting:
         self._arrive(irradiance[None], 1)
 
     def unshot_flux(self) -> np.ndarray:
-        """(n,) float64 flux in W that each side has still to send; absolute values, as overshooting makes some negative."""
+        """(n,) float64 unshot flux in W of each side; absolute values, as overshooting makes some negative."""
         return self.transport.area * np.abs(self.unshot).sum(axis=(0, 2))
 
     def remaining(self) -> np.ndarray:
-        """(3,) float64 flux in W not yet sent, and flux cut off by the path length."""
+        """(3,) float64 unshot flux in W, and flux cut off by the path length."""
         return (self.transport.area[:, None] * self.unshot.sum(axis=0)).sum(axis=0) + self.cut
 
     def ambient(self) -> np.ndarray:
@@ -285,7 +285,7 @@ class DiffuseShooting:
         return self.transport.rho[index] * self.reached[index, None] * self.ambient()
 
     def largest(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Up to `count` sides with the most flux to send, most first, and their flux in W; sides with none are left out."""
+        """Up to `count` sides with the most unshot flux, most first, and their flux in W; sides with none are left out."""
         flux = self.unshot_flux()
         if self.overshoot:
             # What a side has sent too early must not bring it to the front again.

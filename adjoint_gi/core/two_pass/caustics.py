@@ -1,4 +1,4 @@
-"""Light of lamps and background that reaches element sides over mirrors and through glass: particles from the lamps, followed
+"""Light of lamps and background that reaches element sides via mirrors and through glass: particles from the lamps, followed
 along chains of mirrors (Chen et al. 1991, "light ray tracing"), deposited on the elements where they meet diffuse surfaces.
 """
 
@@ -26,7 +26,7 @@ class Caustics:
     """Irradiance of element sides from lamps and background over at least one mirror, from fixed random numbers.
 
     by_length   (depth + 2, 2 ne, 3) float64 W m-2; entry k holds the light that has flown k segments, so 0 and 1 are empty
-    unmet       the same shape: of this, what came over perfectly smooth lobes alone from lamps without size, which no ray from a
+    unmet       the same shape: of this, what came via perfectly smooth lobes alone from lamps without size, which no ray from a
                 receiver can meet
     rays        cast for it
     """

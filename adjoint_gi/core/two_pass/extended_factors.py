@@ -1,6 +1,6 @@
-"""Extended form factors: what element sides see of one another straight and over mirrors, glass and glossy surfaces.
+"""Extended form factors: what element sides see of one another straight and via mirrors, glass and glossy surfaces.
 
-F_ext(i, j) is the share of diffuse light leaving i that arrives at j over any number of surfaces that are not diffuse (Wallace,
+F_ext(i, j) is the share of diffuse light leaving i that arrives at j via any number of surfaces that are not diffuse (Wallace,
 Cohen and Greenberg 1987; Sillion and Puech 1989). They are found by tracing, and coloured as mirrors may be.
 
 Below a coat a surface reflects diffusely what the coat lets through: exact for light that leaves (gathering) or arrives (shooting);

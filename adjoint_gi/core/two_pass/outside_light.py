@@ -1,4 +1,4 @@
-"""Light of lamps and background on the elements, straight and over mirrors: what first passes have as arriving from outside."""
+"""Light of lamps and background on the elements, straight and via mirrors: what first passes have as arriving from outside."""
 
 from __future__ import annotations
 
@@ -39,4 +39,4 @@ class OutsideLight:
         for share in self.lamps.run():
             yield 0.5 * end * share, "Light of lamps and background on elements"
         for share in self.caustics.run():
-            yield 0.5 * end * (1 + share), "Light of lamps over mirrors"
+            yield 0.5 * end * (1 + share), "Light of lamps via mirrors"

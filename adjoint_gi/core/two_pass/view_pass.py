@@ -1,4 +1,4 @@
-"""The second pass: from receivers over mirrors and sampled lobes to surfaces whose diffuse light the first pass has found.
+"""The second pass: from receivers via mirrors and sampled lobes to surfaces whose diffuse light the first pass has found.
 
 At every surface the diffuse lobe either reads the known irradiance or is sampled like the others; all other lobes are always sampled
 by their BSDF, with light points and multiple importance sampling for what they see of the lights (Sillion and Puech 1989, second
@@ -26,7 +26,7 @@ from .known_light import KnownLight
 class View:
     """hops: at so many rough or diffuse surfaces in a row the diffuse lobe is sampled, too; from the next one on it is known.
 
-    sharp: where it is known and seen directly or over perfect mirrors only, direct light is evaluated at the point itself.
+    sharp: where it is known and seen directly or via perfect mirrors only, direct light is evaluated at the point itself.
     unmet: light that no sampled ray can find, for the diffuse lobes that are sampled; or None.
     """
 

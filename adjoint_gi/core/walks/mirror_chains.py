@@ -1,4 +1,4 @@
-"""Chains of mirrors: rays that go on over mirror-like, glossy and clear surfaces until they meet diffuse ones.
+"""Chains of mirrors: rays that go on via mirror-like, glossy and clear surfaces until they meet diffuse ones.
 
 What extended form factors (Wallace 1987; Sillion and Puech 1989) and caustics are made of. A ray that meets a surface gives its
 light to the diffuse lobe there and goes on by one direction of the other lobes, drawn by their BSDF, so that rays do not multiply.

@@ -24,7 +24,7 @@ from ..sampling.maps import ONE
 from ..scene.faces import Faces
 from ..scene.world import World
 
-NEVER = 1 << 30  # path length from which roulette ends paths, where it shall not
+NEVER = 1 << 30  # as `Walk.roulette_from`: no path is as long, so roulette is off
 
 
 def by_weight(strength: np.ndarray) -> np.ndarray:
