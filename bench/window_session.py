@@ -118,7 +118,26 @@ def arrange() -> None:
 
 def session():
     """The states one after the other; yields the seconds to wait."""
-    bakes, check = module("adjoint_gi.bridge.baking.jobs").BAKES, module("adjoint_gi.bridge.baking.check")
+    yield from open_scene()
+    yield from idle_and_refused()
+    yield from baked()
+    yield from balanced_and_shown()
+    yield from rendered()
+    yield from quit_while_baking()
+
+
+def runner():
+    """What runs bakes."""
+    return module("adjoint_gi.bridge.baking.jobs").BAKES
+
+
+def settings():
+    """The panel's settings of the scene."""
+    return bpy.context.window_manager.windows[0].scene.adjoint_gi
+
+
+def open_scene():
+    """The demo scene, all of it selected, and with METHODS the panel of each method."""
     operator("add_demo_scene")
     yield PAUSE
     arrange()
@@ -126,15 +145,18 @@ def session():
     _, _, region = view()
     region.active_panel_category = "Adjoint GI"
     scene = bpy.context.window_manager.windows[0].scene
-    state = scene.adjoint_gi
     for obj in scene.objects:
         obj.select_set(obj.type == "MESH")
     yield PAUSE
     for method in [m.spec.id for m in module("adjoint_gi.core.method.registry").methods()] if METHODS else []:
-        state.method = method
+        settings().method = method
         yield 4 * PAUSE
         save_panel(f"method_{method}")
 
+
+def idle_and_refused():
+    """The panel before a bake, and with a setting that is refused."""
+    check, state = module("adjoint_gi.bridge.baking.check"), settings()
     state.method = "path_tracing"
     state.resolution = 128
     state.settings_path_tracing.samples = 64
@@ -149,6 +171,10 @@ def session():
     state.uv_layer = ""
     yield from wait(lambda: not any(n.severity == "error" for n in check._Cache.notices))
 
+
+def baked():
+    """A bake under way, stopped, continued and finished."""
+    bakes = runner()
     operator("bake")
     yield from wait(lambda: not bakes.running or bakes.job.driver.fraction > 0.3)
     yield PAUSE
@@ -166,7 +192,10 @@ def session():
     if bakes.job.state != "finished" or bakes.job.notices:
         raise RuntimeError(f"the bake ended as {bakes.job.state}: {[str(n) for n in bakes.job.notices]}")
 
-    # Radiosity has an energy balance and no noise.
+
+def balanced_and_shown():
+    """A bake by radiosity, which has an energy balance and no noise, and its result in the scene."""
+    bakes, state = runner(), settings()
     state.method, state.resolution = "progressive_radiosity", 256
     yield PAUSE
     operator("bake")
@@ -182,8 +211,11 @@ def session():
     space.show_region_ui = space.show_region_header = True
     operator("restore")
 
-    # F12: the engine works in a thread of Blender's while the window stays alive.
-    state.method = "path_tracing"
+
+def rendered():
+    """F12: the engine works in a thread of Blender's while the window stays alive."""
+    scene = bpy.context.window_manager.windows[0].scene
+    scene.adjoint_gi.method = "path_tracing"
     scene.render.engine = "ADJOINT_GI"
     scene.render.resolution_percentage = 50
     bpy.context.preferences.view.render_display_type = "NONE"
@@ -201,7 +233,10 @@ def session():
     area.ui_type = "VIEW_3D"
     yield PAUSE
 
-    # Quitting in the middle of a bake must not wait for its end.
+
+def quit_while_baking():
+    """Quitting in the middle of a bake must not wait for its end."""
+    bakes = runner()
     operator("bake")
     yield from wait(lambda: bakes.running and bakes.job.driver.fraction > 0.05)
     print(f"QUIT {time.time()}", flush=True)

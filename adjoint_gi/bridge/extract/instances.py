@@ -245,9 +245,6 @@ def place(groups: list[Group], default_color: bool, notices: Notices) -> Placed:
         shift = vertex_base + nv * np.arange(k)[:, None, None]
         slots = group.materials[np.clip(mesh.slot, 0, len(group.materials) - 1)]
         first = len(objects)
-        colors = mesh.colors
-        if default_color and mesh.render_color in colors:
-            colors = {**colors, "": colors[mesh.render_color]}
         parts.append(
             (
                 vertices[kept].reshape(-1, 3),
@@ -260,25 +257,7 @@ def place(groups: list[Group], default_color: bool, notices: Notices) -> Placed:
                 np.tile(mesh.corners, (k, 1)),
             )
         )
-        for j, i in enumerate(kept.tolist()):
-            objects.append(
-                ObjectArrays(
-                    name=group.names[i],
-                    source=group.sources[i],
-                    uid=group.uids[i],
-                    instance=group.instances[i],
-                    first_triangle=triangle_base + j * nt,
-                    triangle_count=nt,
-                    first_vertex=vertex_base + j * nv,
-                    vertex_count=nv,
-                    corner_count=mesh.corner_count,
-                    polygon_count=mesh.polygon_count,
-                    uvs=mesh.uvs,
-                    render_uv=mesh.render_uv,
-                    colors=colors,
-                    selected=mesh.selected,
-                )
-            )
+        objects += _objects(group, kept, triangle_base, vertex_base, default_color)
         vertex_base += nv * k
         triangle_base += nt * k
     empty = (
@@ -293,6 +272,33 @@ def place(groups: list[Group], default_color: bool, notices: Notices) -> Placed:
     )
     columns = [np.concatenate([e, *(p[c] for p in parts)]) for c, e in enumerate(empty)]
     return Placed(*columns, tuple(objects))
+
+
+def _objects(group: Group, kept: np.ndarray, first_triangle: int, first_vertex: int, default_color: bool) -> list[ObjectArrays]:
+    """The instances `kept` (k,) of a group, whose triangles and vertices lie behind one another from the first ones on."""
+    mesh, colors = group.mesh, group.mesh.colors
+    nv, nt = len(mesh.vertices), len(mesh.triangles)
+    if default_color and mesh.render_color in colors:
+        colors = {**colors, "": colors[mesh.render_color]}
+    return [
+        ObjectArrays(
+            name=group.names[i],
+            source=group.sources[i],
+            uid=group.uids[i],
+            instance=group.instances[i],
+            first_triangle=first_triangle + j * nt,
+            triangle_count=nt,
+            first_vertex=first_vertex + j * nv,
+            vertex_count=nv,
+            corner_count=mesh.corner_count,
+            polygon_count=mesh.polygon_count,
+            uvs=mesh.uvs,
+            render_uv=mesh.render_uv,
+            colors=colors,
+            selected=mesh.selected,
+        )
+        for j, i in enumerate(kept.tolist())
+    ]
 
 
 def _world_normals(normals: np.ndarray, matrices: np.ndarray) -> np.ndarray:

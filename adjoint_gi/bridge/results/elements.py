@@ -54,27 +54,14 @@ def write_elements(
     matrix = np.eye(4) if flat else matrix
     inverse = np.linalg.inv(matrix)
     vertices = mesh.vertices[used] @ inverse[:3, :3].T + inverse[:3, 3]
-    order = np.arange(len(corners))
     if np.linalg.det(matrix) < 0:
-        # A mirrored object shows its faces the other way round: turn each, its first corner stays.
-        local = order - np.repeat(start, size)
-        order = np.repeat(start, size) + np.where(local > 0, np.repeat(size, size) - local, 0)
-    corners = corners[order]
+        corners = corners[_turned(start, size)]
 
     # Step 3: the mesh that is there already if it has the same faces; other results stay on it then.
     old = result_object(obj)
     data = old.data if old is not None and _same(old.data, len(used), corners, start) else None
     if data is None:
-        data = bpy.data.meshes.new(obj.name + " GI")
-        data.vertices.add(len(used))
-        data.loops.add(len(corners))
-        data.polygons.add(len(face))
-        data.loops.foreach_set("vertex_index", corners)
-        data.polygons.foreach_set("loop_start", start.astype(np.int32))
-        for i, slot in enumerate(obj.material_slots):
-            data.materials.append(own_material(obj, i, slot.material, obj.data.materials[i])[0])
-        # Vertices are double along hard edges, so smooth shading is right everywhere.
-        data.polygons.foreach_set("use_smooth", np.ones(len(face), bool))
+        data = _new_mesh(obj, len(used), corners, start)
     data.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
     data.polygons.foreach_set("material_index", slots)
     data.update(calc_edges=True)
@@ -85,6 +72,30 @@ def write_elements(
         target.matrix_world = Matrix.Identity(4)
     colors = colors[used]
     return fill_attribute(target, key, domain, name, colors if domain == "POINT" else colors[corners])
+
+
+def _turned(start: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Order of the corners of faces that begin at `start` (nf,) and have `size` (nf,) of them, each face turned round.
+
+    A mirrored object shows its faces the other way round. The first corner of each stays.
+    """
+    local = np.arange(int(size.sum())) - np.repeat(start, size)
+    return np.repeat(start, size) + np.where(local > 0, np.repeat(size, size) - local, 0)
+
+
+def _new_mesh(obj: bpy.types.Object, vertices: int, corners: np.ndarray, start: np.ndarray) -> bpy.types.Mesh:
+    """A mesh of these faces with the materials of `obj`; its vertices have no place yet."""
+    data = bpy.data.meshes.new(obj.name + " GI")
+    data.vertices.add(vertices)
+    data.loops.add(len(corners))
+    data.polygons.add(len(start))
+    data.loops.foreach_set("vertex_index", corners)
+    data.polygons.foreach_set("loop_start", start.astype(np.int32))
+    for i, slot in enumerate(obj.material_slots):
+        data.materials.append(own_material(obj, i, slot.material, obj.data.materials[i])[0])
+    # Vertices are double along hard edges, so smooth shading is right everywhere.
+    data.polygons.foreach_set("use_smooth", np.ones(len(start), bool))
+    return data
 
 
 def _slots(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, arrays: ObjectArrays, polygon: np.ndarray) -> np.ndarray:

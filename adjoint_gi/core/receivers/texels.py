@@ -102,16 +102,7 @@ def rasterize(
     A texel is covered if any of its `subsamples` places lies inside a triangle; a place that two triangles claim goes to the one
     with the lower index. Raises TargetError for a missing layer or when no texel is covered, MemoryRefused above `memory_limit`.
     """
-    width, height = (resolution, resolution) if isinstance(resolution, int) else resolution
-    if not (1 <= width <= MAX_RESOLUTION and 1 <= height <= MAX_RESOLUTION):
-        raise TargetError("Lightmap", f"{width} x {height} texels are not possible", f"Choose 1 to {MAX_RESOLUTION}")
-    if subsamples < 1:
-        raise TargetError("Lightmap", f"{subsamples} sub-samples are not possible", "Choose at least 1")
-    need = memory(width, height, subsamples)
-    if need > memory_limit:
-        sizes = f"{need / 2**30:.1f} GiB, allowed are {memory_limit / 2**30:.1f} GiB"
-        reason = f"{width} x {height} texels with {subsamples} sub-samples need {sizes}"
-        raise MemoryRefused("Lightmap", reason, "Lower the resolution or the sub-samples")
+    width, height = _checked(resolution, subsamples, memory_limit)
 
     # Step 1: one list of UV triangles, in units of texels.
     triangle, uv, chart, charts = _gather(world, objects, uv_layer, placement or {})
@@ -136,16 +127,10 @@ def rasterize(
     chart_map[pixel] = chart[item[start[:-1]]]
     receivers = SurfaceReceivers("texels", start, triangle[item], u, v)
 
+    # Step 4: what is wrong with the layout.
     owned = np.bincount(chart_map[pixel], minlength=charts)
-    tiny = owned < 2
+    problems = {"overlap": clashing} | _unfit(layout, (owned < 2)[chart])
     owner = world.scene.object[triangle] if len(triangle) else triangle
-    problems = {
-        "overlap": clashing,
-        "outside": np.flatnonzero(~layout.inside & layout.usable),
-        "unusable": np.flatnonzero(~layout.usable),
-        "no_area": np.flatnonzero(layout.usable & ~layout.has_area),
-        "tiny": np.flatnonzero(tiny[chart] & layout.usable & layout.has_area),
-    }
     counts = {
         "overlap": overlapping,
         "tiny": len(np.unique(chart[problems["tiny"]])),
@@ -166,6 +151,31 @@ def rasterize(
         no_area=counts["no_area"],
         warnings=_warnings(world, owner, problems, counts, len(pixel)),
     )
+
+
+def _checked(resolution: int | tuple[int, int], subsamples: int, memory_limit: int) -> tuple[int, int]:
+    """Width and height; raises TargetError where an image cannot be so, MemoryRefused where `rasterize` needs more than the limit."""
+    width, height = (resolution, resolution) if isinstance(resolution, int) else resolution
+    if not (1 <= width <= MAX_RESOLUTION and 1 <= height <= MAX_RESOLUTION):
+        raise TargetError("Lightmap", f"{width} x {height} texels are not possible", f"Choose 1 to {MAX_RESOLUTION}")
+    if subsamples < 1:
+        raise TargetError("Lightmap", f"{subsamples} sub-samples are not possible", "Choose at least 1")
+    need = memory(width, height, subsamples)
+    if need > memory_limit:
+        sizes = f"{need / 2**30:.1f} GiB, allowed are {memory_limit / 2**30:.1f} GiB"
+        reason = f"{width} x {height} texels with {subsamples} sub-samples need {sizes}"
+        raise MemoryRefused("Lightmap", reason, "Lower the resolution or the sub-samples")
+    return width, height
+
+
+def _unfit(layout: UvTriangles, tiny: np.ndarray) -> dict[str, np.ndarray]:
+    """UV triangles that get no texel or too few, by what is wrong with them; `tiny` (n,) bool: those of charts with hardly a texel."""
+    return {
+        "outside": np.flatnonzero(~layout.inside & layout.usable),
+        "unusable": np.flatnonzero(~layout.usable),
+        "no_area": np.flatnonzero(layout.usable & ~layout.has_area),
+        "tiny": np.flatnonzero(tiny & layout.usable & layout.has_area),
+    }
 
 
 def join(parts: Sequence[SurfaceReceivers]) -> tuple[SurfaceReceivers, list[slice]]:
