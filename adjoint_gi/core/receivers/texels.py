@@ -131,11 +131,8 @@ def rasterize(
     owned = np.bincount(chart_map[pixel], minlength=charts)
     problems = {"overlap": clashing} | _unfit(layout, (owned < 2)[chart])
     owner = world.scene.object[triangle] if len(triangle) else triangle
-    counts = {
-        "overlap": overlapping,
-        "tiny": len(np.unique(chart[problems["tiny"]])),
-        **{k: len(problems[k]) for k in ("outside", "unusable", "no_area")},
-    }
+    counts = {name: len(found) for name, found in problems.items()}
+    counts |= {"overlap": overlapping, "tiny": len(np.unique(chart[problems["tiny"]]))}
     return Lightmap(
         receivers=receivers,
         pixel=pixel,
