@@ -121,9 +121,9 @@ def flux_by_radiance(detect: Detector, solution: Solution, elements: Elements | 
 
 
 def lamp_in_a_closed_box(solve: Callable[[ElementReceivers], Solution]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """CIE 5.8, a point lamp in a cube of albedo 0.5: (3,) W of the lamp, arriving directly and indirectly; backs must stay dark.
+    """CIE 5.8, a point lamp in a cube of albedo 0.5: (3,) W of the lamp, arriving directly and indirectly.
 
-    Indirect light is rho / (1 - rho) times the direct, so that all three are equal.
+    Backs must stay dark and all direct light must arrive. Indirect light is rho / (1 - rho) times the direct, so that all three are equal.
     """
     b = SceneBuilder()
     b.box("Box", (0, 0, 0), (4, 4, 4), diffuse("Wall", 0.5), inward=True)
@@ -131,8 +131,10 @@ def lamp_in_a_closed_box(solve: Callable[[ElementReceivers], Solution]) -> tuple
     receivers = on_elements(b.build(), 1.0)
     s = solve(receivers)
     assert not s.direct[1::2].any()
-    area = receivers.elements.area
-    return 4 * np.pi * np.array([10, 20, 30]), area @ s.direct[0::2], area @ s.indirect[0::2]
+    flux, area = 4 * np.pi * np.array([10, 20, 30]), receivers.elements.area
+    direct = area @ s.direct[0::2]
+    assert np.allclose(direct, flux, rtol=0.01)
+    return flux, direct, area @ s.indirect[0::2]
 
 
 # ---- comparisons

@@ -13,7 +13,6 @@ from adjgi.adjoint_gi.bridge.results import lightmap_uv as module
 from adjgi.adjoint_gi.bridge.results.lightmap_uv import (
     check_uv_layer,
     find_uv_layer,
-    in_one_square,
     make_lightmap_uvs,
     paddings,
     remove_lightmap_uv,
@@ -265,7 +264,7 @@ def row_of_objects():
 def test_several_objects_share_one_square_without_overlap():
     objects = row_of_objects()
     assert make_lightmap_uvs(objects, 256, paddings(256)) == []
-    assert in_one_square(objects) and in_one_square(objects[1:]) and all(shares_square(obj) for obj in objects)
+    assert module.in_one_square(objects) and module.in_one_square(objects[1:]) and all(shares_square(obj) for obj in objects)
     b = SceneBuilder()
     for obj in objects:
         m = read_mesh(obj.data, obj.name, Notices())
@@ -280,11 +279,11 @@ def test_layers_of_one_square_are_told_from_others():
     first, second, third = row_of_objects()
     make_lightmap_uvs([first, second], 128, (2,))
     make_lightmap_uv(third)
-    assert not in_one_square([first, second, third]) and not shares_square(third)
+    assert not module.in_one_square([first, second, third]) and not shares_square(third)
     copy = bpy.data.objects.new("Copy", first.data.copy())  # has the same place of the square
-    assert not in_one_square([first, copy]) and in_one_square([second, copy])
+    assert not module.in_one_square([first, copy]) and module.in_one_square([second, copy])
     make_lightmap_uv(first)
-    assert not shares_square(first) and not in_one_square([first, second])
+    assert not shares_square(first) and not module.in_one_square([first, second])
     assert remove_lightmap_uv(second) and not second.data.keys()
 
 

@@ -98,8 +98,7 @@ def test_eight_mirror_furnace_at_each_bin_count(bins, lobes):
 
 
 def test_a_lamp_in_a_closed_box():
-    flux, direct, indirect = solving.lamp_in_a_closed_box(solve)
-    assert np.allclose(direct, flux, rtol=0.01)
+    flux, _, indirect = solving.lamp_in_a_closed_box(solve)
     assert np.allclose(indirect, flux, rtol=0.02)
 
 
