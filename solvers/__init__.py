@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from importlib import import_module
 
+from ..adjoint_gi.core.method.registry import arrange
+
 MODULES: tuple[str, ...] = (
     # Gathering, deterministic.
     "local_illumination",
@@ -38,3 +40,4 @@ def load() -> None:
             import_module(f".{name}", __name__)
         except Exception as error:
             raise ImportError(f"method module solvers/{name}.py cannot be loaded: {error}") from error
+    arrange(MODULES)

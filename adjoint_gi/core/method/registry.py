@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, ClassVar
@@ -102,6 +102,12 @@ def register(cls: type[Solver]) -> type[Solver]:
             raise ValueError(f"method {cls.spec.id} ({cls.spec.number}) is registered twice")
     _METHODS[cls.spec.id] = cls()
     return cls
+
+
+def arrange(ids: Sequence[str]) -> None:
+    """Put the methods `ids` first, in this order: modules may have been imported in another one."""
+    for id in [*ids, *(x for x in _METHODS if x not in ids)]:
+        _METHODS[id] = _METHODS.pop(id)
 
 
 def methods() -> tuple[Solver, ...]:
