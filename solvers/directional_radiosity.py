@@ -127,7 +127,7 @@ class DirectionalRadiosity(Solver):
         by_length = bounded or (settings.strategy == "gathering" and settings.solver == "jacobi")
         yield from (run.by_length if by_length else run.relax)(leaving(run.elements, run.basis), arriving)
         run.check_converged(run.residual, "Raise max_iterations or the tolerance, or lower albedos that are close to 1")
-        yield from run.finish(f"Solved in {len(run.history)} iterations")
+        yield from run.finish(f"Solved in {len(run.clock.history)} iterations")
 
 
 class BinRun(DirectionalRun):
@@ -150,7 +150,7 @@ class BinRun(DirectionalRun):
                 length, self.residual = length + 1, found
                 if s.min_length <= length:
                     (self.first if length == 1 else self.rest)[:] += term
-                self.note(found)
+                self.clock.note(found)
             yield from self.pause(self.relaxed(self.residual, 0.6), f"Path length {length}, residual {self.residual:.1e}")
         if length >= s.max_length:
             self.residual = 0.0  # no longer path counts
@@ -168,8 +168,8 @@ class BinRun(DirectionalRun):
             if found is not None:
                 self.residual = found
                 np.maximum(whole - direct, 0.0, out=self.rest)
-                self.note(found)
-            yield from self.pause(self.relaxed(self.residual, 0.6), f"Iteration {len(self.history)}, residual {self.residual:.1e}")
+                self.clock.note(found)
+            yield from self.pause(self.relaxed(self.residual, 0.6), f"Iteration {len(self.clock.history)}, residual {self.residual:.1e}")
         np.maximum(whole - direct, 0, out=self.rest)
         self.balance = self._energy(emitted, arriving, whole)
 

@@ -114,10 +114,10 @@ class MatrixRadiosity(Solver):
         residual = 0.0
         for iterate in relax(system.transport, system.emitted, system.arriving, s.tolerance, s.max_iterations):
             run.find, residual = finder(run, matrix, system, iterate.irradiance), iterate.residual
-            run.note(residual)
-            yield from run.step(run.relaxed(residual, 0.9), f"Iteration {len(run.history)}, residual {residual:.1e}")
+            run.clock.note(residual)
+            yield from run.step(run.relaxed(residual, 0.9), f"Iteration {len(run.clock.history)}, residual {residual:.1e}")
         run.check_converged(residual)
-        yield from run.finish(f"Solved in {len(run.history)} iterations")
+        yield from run.finish(f"Solved in {len(run.clock.history)} iterations")
 
 
 def finder(run: RadiosityRun, matrix: FactorMatrix, system: System, irradiance: np.ndarray) -> Callable[[bool], Found]:

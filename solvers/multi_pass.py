@@ -120,14 +120,15 @@ class MultiPass(Solver):
 
         # 1. B = E + rho F B (Eq. 11), shot (Eq. 13): progressive radiosity.
         for share, text in passes.radiosity():
-            yield from run.clock.pause(Step(FIRST_PASS_SHARE * share, text, passes.solution))
+            yield from run.clock.pause(Step(FIRST_PASS_SHARE * share, text, lambda: passes.joined(run.solution())))
 
         # 2. L = Le + T L (Eq. 1): path tracing that reads the radiosity further off.
         walk = Walk(world, emitters, passes.chains.table, settings.min_length, settings.max_length)
         unmet = passes.outside.caustics.unmet_light(settings.min_length, settings.max_length)
         view = View(walk, passes.known(), settings.hops if passes.reads else settings.max_length + 1, False, unmet)
         for step in run.random_samples(settings.samples, rng, estimator(view)):
-            yield dataclasses.replace(step, fraction=FIRST_PASS_SHARE + (1 - FIRST_PASS_SHARE) * step.fraction, solution=passes.solution)
+            fraction = FIRST_PASS_SHARE + (1 - FIRST_PASS_SHARE) * step.fraction
+            yield dataclasses.replace(step, fraction=fraction, solution=lambda step=step: passes.joined(step.solution()))
 
 
 class MultiPassRun:
@@ -167,13 +168,13 @@ class MultiPassRun:
         trap = Trap(state)
         for share in shooting.run():
             trap.check(self.elements)
-            run.history.append((run.clock.seconds, share))
+            run.clock.note(share)
             yield 0.3 + 0.7 * float(np.clip(1 - share, 0, 0.999)), shooting.text
         if shooting.unfinished:
             remedy = "Raise max_shots or the tolerance, or lower albedos that are close to 1"
             run.warnings += (Notice(run.spec.label, f"radiosity {shooting.shortfall}", remedy),)
         # The second pass has an error of its own.
-        run.history.clear()
+        run.clock.history.clear()
         run.balance = balance(state)
         run.rays += self.rays
         self.parts = self.answer.parts(state.direct, state.indirect)
@@ -185,9 +186,8 @@ class MultiPassRun:
         known.prepare()
         return known
 
-    def solution(self) -> Solution:
-        """A copy of the result as it stands: the first answer, weighed against the samples that have come in."""
-        second = self.run.solution()
+    def joined(self, second: Solution) -> Solution:
+        """The result as it stands: the first answer, weighed against the `second` one by the samples that have come in."""
         if not second.partial:
             return second
         parts = self.parts or self._now()

@@ -123,7 +123,7 @@ class ParticleTracing(Solver):
         with closing(in_order(shot.batch, range(len(shot.sizes)))) as batches:
             for batch in batches:
                 shot.tally.add(batch)
-                shot.tally.history.append((shot.clock.seconds, shot.tally.relative_error()))
+                shot.clock.note(shot.tally.relative_error())
                 done = shot.tally.count
                 if done < settings.particles:
                     yield from shot.clock.pause(
@@ -176,7 +176,7 @@ class ParticleRun:
         return Batch(count, self.score.power(first), self.score.power(later), area, np.stack(lights, axis=1), ends)
 
     def solution(self) -> Solution:
-        """The result as it stands: power over area is irradiance."""
+        """The result as it stands: power over area is irradiance. The clock adds the seconds and the history."""
         tally = self.tally
         arrays, rays = self.score.arrays(tally.per_particle(tally.direct), tally.per_particle(tally.indirect), tally.area)
         lights = {"light_flux": tally.per_particle(tally.lights).astype(np.float32), "light_names": np.array(self.emission.names, np.str_)}
@@ -186,9 +186,7 @@ class ParticleRun:
             self.receivers.measure,
             **arrays,
             rays=tally.ends.rays + rays,
-            seconds=self.clock.seconds,
             balance=tally.balance(),
-            history=tuple(tally.history),
             warnings=self.warnings,
             settings=self.settings.as_dict(),
             partial=self.partial,

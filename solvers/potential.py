@@ -169,15 +169,15 @@ class Potential(Solver):
         # 3. W = g + T* W, by iterations.
         residual = 0.0
         for residual in system.relax(s.scheme):
-            run.note(residual)
-            if residual <= s.tolerance or len(run.history) >= s.max_iterations:
+            run.clock.note(residual)
+            if residual <= s.tolerance or len(run.clock.history) >= s.max_iterations:
                 break
-            yield from run.step(run.relaxed(residual, 0.8), f"Iteration {len(run.history)}, {residual:.1e} left")
+            yield from run.step(run.relaxed(residual, 0.8), f"Iteration {len(run.clock.history)}, {residual:.1e} left")
         if residual > s.tolerance:
-            reason = f"stopped after {len(run.history)} iterations with {residual:.1e} left"
+            reason = f"stopped after {len(run.clock.history)} iterations with {residual:.1e} left"
             run.warn(reason, "Raise max_iterations or the tolerance")
         run.check_reached()
-        yield from run.finish(f"Relaxed in {len(run.history)} iterations")
+        yield from run.finish(f"Relaxed in {len(run.clock.history)} iterations")
 
     def _walk_from_camera(self, run: PotentialRun, rng: np.random.Generator) -> Iterator[Step]:
         """Importance that leaves the camera; what arrives on an element is its potential."""
@@ -186,7 +186,7 @@ class Potential(Solver):
         for found in walks_from_camera(run.world, run.elements, run.detect, s.samples, s.min_length, s.max_length, rng):
             run.parts, run.rays = found.parts, found.rays
             if found.error is not None:
-                run.note(found.error)
+                run.clock.note(found.error)
             yield from run.step(0.2 + 0.799 * found.done / found.walks, f"{found.done:,} of {found.walks:,} walks")
         run.check_reached()
         yield from run.finish("Walked")

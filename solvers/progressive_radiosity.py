@@ -142,7 +142,7 @@ class ProgressiveRadiosity(Solver):
         shooting = Southwell(state, Grouping.for_sides(len(state.direct), s.rays), s.tolerance, s.max_shots)
         for share in shooting.run():
             trap.check(run.elements)
-            run.note(share)
+            run.clock.note(share)
             yield from run.step(shooting.done, shooting.text)
         if shooting.unfinished:
             run.warn(shooting.shortfall, "Raise max_shots or the tolerance, or lower albedos that are close to 1")

@@ -127,7 +127,7 @@ class SphericalHarmonics(Solver):
         # 3. Groups of sides, most unshot flux first: L(j, wo) += sum_ab h_a(wo) M_ab dq(j, b) (Eq. 13 by direction).
         shooting = Southwell(state, grouping(state, s.rays), s.tolerance, s.max_shots, PATIENCE * len(state.area))
         for share in shooting.run():
-            run.note(share)
+            run.clock.note(share)
             yield from run.step(shooting.done, shooting.text)
         if shooting.unfinished:
             run.warn(shooting.shortfall, "Raise rays, max_shots, windowing or the tolerance, or lower albedos close to 1")

@@ -112,7 +112,7 @@ class StochasticJacobi(Solver):
                 done = max(done, min((number - left) / run.count, 0.999))
                 yield from run.step(done, f"Run {number} of {run.count}, {left:.2%} of the light unshot")
             run.mean.add(state)
-            run.note(run.mean.relative_error())
+            run.clock.note(run.mean.relative_error())
 
         # 4. Their mean.
         yield from run.finish(f"{run.count} runs")

@@ -125,7 +125,6 @@ class Tally:
         self.squares = np.zeros(places)  # of the power that each batch brought, colours summed
         self.lights = np.zeros((lights, 3))
         self.ends = Ends()
-        self.history: list[tuple[float, float]] = []
 
     def add(self, batch: Batch) -> None:
         """Take a batch."""

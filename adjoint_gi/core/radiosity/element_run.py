@@ -38,7 +38,6 @@ class ElementRun:
     """One solve of a method on elements.
 
     find       what is known now, for a partial result or not; set by the method
-    history    (seconds of work, residual or unshot share) after every iteration
     """
 
     def __init__(self, solver: Solver, world: World, receivers: Receivers, settings: Settings, lobes: frozenset[str] | None = None) -> None:
@@ -47,7 +46,6 @@ class ElementRun:
         self.clock = Clock()
         self.elements = elements_for(world, receivers, settings.max_edge, solver.element_target(settings))
         self.emitters = Emitters(world)
-        self.history: list[tuple[float, float]] = []
         self.warnings = world.scene.warnings + world.shading.substitutions(solver.spec.lobes if lobes is None else lobes)
         self.find: Callable[[bool], Found]
 
@@ -79,10 +77,6 @@ class ElementRun:
         """The last step, with the finished result."""
         yield from self.clock.last(self._step(1.0, text, False))
 
-    def note(self, residual: float) -> None:
-        """Add to the history."""
-        self.history.append((self.clock.seconds, residual))
-
     def relaxed(self, residual: float, start: float) -> float:
         """Share of the whole that is done when relaxation, which begins at `start`, has come to `residual`: on a logarithmic scale."""
         tolerance = self.settings.tolerance
@@ -107,7 +101,7 @@ class ElementRun:
     # ---- results
 
     def _step(self, fraction: float, text: str, partial: bool) -> Step:
-        find, seconds, history, warnings = self.find, self.clock.seconds, tuple(self.history), self.warnings
+        find, warnings = self.find, self.warnings
 
         def solution() -> Solution:
             found = find(partial)
@@ -116,9 +110,7 @@ class ElementRun:
                 self.receivers.measure,
                 **{**found.parts.arrays(), "extra": {**found.parts.extra, **found.extra}},
                 rays=found.rays,
-                seconds=seconds,
                 balance=found.balance,
-                history=history,
                 warnings=warnings,
                 settings=self.settings.as_dict(),
                 partial=partial,

@@ -73,7 +73,6 @@ class Run:
         self.clock = Clock()
         self.film = Film(self.receivers)
         self.surfaces: dict[str, np.ndarray] = {}
-        self.history: list[tuple[float, float]] = []
         self._spoiled = 0
         self.extra: dict[str, np.ndarray] = {}
         self.warnings = self.world.scene.warnings + self.world.shading.substitutions(self.spec.lobes) + self.warnings
@@ -156,7 +155,7 @@ class Run:
         """Note the relative standard error after a pass over all receivers."""
         error = self.film.relative_error()
         if error is not None:
-            self.history.append((self.clock.seconds, error))
+            self.clock.note(error)
 
     def finish(self, text: str) -> Iterator[Step]:
         """Read what only a finished picture gets, and yield the last step."""
@@ -215,7 +214,7 @@ class Run:
             self.warnings = (*others, Notice("", text, "Look for extreme values in lights and materials"))
 
     def solution(self) -> Solution:
-        """A copy of the result as it stands."""
+        """A copy of the result as it stands; the clock adds the seconds and the history."""
         film, surfaces = self.film, self.surfaces
         weight = (film.count > 0).astype(np.float32)
         extra = dict(self.extra)
@@ -236,10 +235,8 @@ class Run:
             albedo,
             weight,
             rays=self.rays,
-            seconds=self.clock.seconds,
             balance=self.balance,
             emitted_flux=float(self.emitters.power.sum()),
-            history=tuple(self.history),
             warnings=self.warnings,
             settings=self.settings.as_dict(),
             partial=self.partial,
