@@ -7,6 +7,7 @@ import os
 import signal
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from adjgi.adjoint_gi.core.base import resources
 from adjgi.adjoint_gi.core.base.errors import AdjointError, MemoryRefused
 from adjgi.adjoint_gi.core.base.settings import Settings
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.method import driver as driver_module
 from adjgi.adjoint_gi.core.method.driver import Driver
 from adjgi.adjoint_gi.core.method.registry import Solver
 from adjgi.adjoint_gi.core.method.solution import Solution, Step
@@ -21,6 +23,20 @@ from adjgi.adjoint_gi.core.receivers.base import SurfaceReceivers
 from adjgi.adjoint_gi.core.scene.world import World
 
 STEPS = 40
+TICK = 0.125  # a sum of these is exact
+
+
+class FakeTime:
+    """A clock that only its `sleep` moves on."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def sleep(self, seconds):
+        self.now += seconds
+
+    def perf_counter(self):
+        return self.now
 
 
 class Spec:
@@ -32,8 +48,8 @@ class Counting(Solver):
 
     spec = Spec()
 
-    def __init__(self, seconds=0.01, fail_at=None, steps=STEPS, wait=None):
-        self.seconds, self.fail_at, self.steps, self.wait = seconds, fail_at, steps, wait
+    def __init__(self, seconds=0.01, fail_at=None, steps=STEPS, wait=None, sleep=time.sleep):
+        self.seconds, self.fail_at, self.steps, self.wait, self.sleep = seconds, fail_at, steps, wait, sleep
         self.done = 0
         self.closed = False
         self.threads = set()
@@ -41,7 +57,6 @@ class Counting(Solver):
 
     def solve(self, world, receivers, settings, rng):
         total = np.zeros((receivers.count, 3), np.float32)
-        began = time.perf_counter()
 
         def solution(k):
             assert not self.inside, "copied while the arrays were being changed"
@@ -57,13 +72,12 @@ class Counting(Solver):
                 total += rng.random(total.shape, np.float32)
                 if self.wait is not None:
                     self.wait.wait(10)
-                time.sleep(self.seconds)
+                self.sleep(self.seconds)
                 self.inside = False
                 self.done = k
                 yield Step(k / self.steps, f"step {k}", lambda k=k: solution(k))
         finally:
             self.closed = True
-            self.took = time.perf_counter() - began
 
 
 class Nothing(Solver):
@@ -85,11 +99,16 @@ def driver(world, solver, seed=3):
     return Driver(solver, world, receivers, Settings(seed=seed))
 
 
-def wait(d, state, seconds=5.0):
+def until(reached, seconds=60.0):
+    """Wait for another thread; the seconds only keep a test that fails from waiting for ever."""
     end = time.monotonic() + seconds
-    while d.state != state:
-        assert time.monotonic() < end, f"still {d.state}, not {state}"
+    while not reached():
+        assert time.monotonic() < end, "waited in vain"
         time.sleep(0.005)
+
+
+def wait(d, state):
+    until(lambda: d.state == state)
 
 
 def test_background_and_foreground_give_the_same_result(world):
@@ -106,26 +125,29 @@ def test_background_and_foreground_give_the_same_result(world):
     assert threading.get_ident() not in first.solver.threads
 
 
-def test_stop_keeps_the_partial_result_and_continue_ends_where_an_unstopped_run_ends(world):
-    d = driver(world, Counting(0.02))
-    began = time.perf_counter()
+def test_stop_keeps_the_partial_result_and_continue_ends_where_an_unstopped_run_ends(world, monkeypatch):
+    clock, gate = FakeTime(), threading.Semaphore(10)
+    monkeypatch.setattr(driver_module, "time", clock)
+    d = driver(world, Counting(TICK, wait=SimpleNamespace(wait=lambda seconds: gate.acquire(timeout=seconds)), sleep=clock.sleep))
     d.start()
-    time.sleep(0.15)
-    done = d.solver.done
-    assert d.stop()
-    assert d.solver.done <= done + 2  # the step under way, and one that may have begun meanwhile
-    assert d.state == "stopped" and 0 < d.fraction < 1
+    until(lambda: d.solver.done == 10)
+    assert not d.stop(0.0) and d.state == "running"  # the step under way waits at the gate
+    gate.release()
+    assert d.stop(60.0)
+    assert d.solver.done == 11
+    assert d.state == "stopped" and d.fraction == 11 / STEPS
     partial = d.solution()
-    assert partial.partial and partial.rays == round(d.fraction * STEPS) * 10
-    frozen = d.seconds
-    time.sleep(0.05)
-    assert d.seconds == frozen, "a pause counts as computing"
+    assert partial.partial and partial.rays == 11 * 10
+    assert d.seconds == partial.seconds == 11 * TICK
+    clock.sleep(100)
+    assert d.seconds == 11 * TICK, "a pause counts as computing"
+    gate.release(STEPS)
     d.resume()
     wait(d, "finished")
     assert not d.solution().partial
     assert np.array_equal(d.solution().direct, driver(world, Counting(0)).run().direct)
     assert np.all(d.solution().direct >= partial.direct)
-    assert STEPS * 0.02 <= d.seconds <= time.perf_counter() - began - 0.05  # the pause does not count
+    assert d.seconds == STEPS * TICK and d.longest == TICK  # the pause does not count
 
 
 @pytest.mark.parametrize("steps", [1, STEPS // 2, STEPS - 1])
