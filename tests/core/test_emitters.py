@@ -273,6 +273,21 @@ def test_shadow(options, shadow):
     assert (mean > 0).all() if not shadow else mean.max() == 0
 
 
+@pytest.mark.parametrize(
+    ("large", "exact"),
+    [(lamp("area", size_x=4.0, size_y=4.0, shadow=False), PI * 4 * corner(2, 2, 3)), (lamp("point", radius=1.5, shadow=False), 1 / 9)],
+    ids=["area", "sphere"],
+)
+def test_a_large_lamp_without_shadows_gives_all_its_light_behind_a_wall(large, exact):
+    """Rays end at the wall, so that none of this light may be left to them."""
+    b = floor()
+    b.quad("Wall", (-3, -3, 1), (6, 0, 0), (0, 6, 0), diffuse("Black", 0.0))
+    b.light(large)
+    agrees(b, exact, n=4 * N)
+    emitters = Emitters(World(b.build()))
+    assert emitters.lamps.large.all() and not len(emitters.shared)
+
+
 def test_lamps_do_not_block_light():
     b = floor()
     b.light(lamp("area", position=(0.0, 0.0, 2.0), size_x=1.0, size_y=1.0, color=(0.0, 0.0, 0.0)))

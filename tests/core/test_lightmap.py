@@ -132,6 +132,21 @@ def test_stacked_faces_at_the_same_place_do_not_count_as_overlap():
     assert rasterize(apart, [0, 1], resolution=8).overlapping == 64
 
 
+def test_sheets_at_one_place_that_face_apart_overlap():
+    up = rectangle(0, 0, 1, 1)
+    down = [[a, c, b] for a, b, c in up]
+    assert rasterize(flat_world(up, down, z=[0, 0]), [0, 1], resolution=8).overlapping == 64
+
+
+@pytest.mark.parametrize("turn", range(3))
+@pytest.mark.parametrize("flip", [False, True])
+def test_rows_of_an_axis_aligned_triangle_reach_from_edge_to_edge(turn, flip):
+    """Its level edge lies in the first of its rows; from whichever corner it begins, the row is as wide as the edge."""
+    corners = np.roll(np.array([[1.0, 1.0], [7.0, 1.0], [1.0, 4.0]]), turn, axis=0)
+    left, right = raster.row_extent(corners[::-1][None] if flip else corners[None], np.zeros(3, int), np.array([1, 2, 3]))
+    assert np.allclose(left, 1, atol=1e-5) and np.allclose(right, [7, 5, 3], atol=1e-5)
+
+
 def test_touching_islands_do_not_overlap():
     lm = rasterize(flat_world(rectangle(0, 0, 0.5, 1) + rectangle(0.5, 0, 1, 1)), [0], resolution=7, subsamples=4)
     assert lm.covered.all() and lm.overlapping == 0

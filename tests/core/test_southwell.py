@@ -81,6 +81,40 @@ def test_shooting_gives_up_where_nothing_becomes_less():
     assert 10 <= len(list(shooting.run())) <= 12 and shooting.unfinished
 
 
+def test_refining_sides_keeps_their_unshot_flux_and_moves_it_to_where_more_light_arrived():
+    """By class of segments: light that has arrived follows `factor`; what sides emit themselves is even on them."""
+    s = state(high=4)
+    s.shoot(np.array([0]), np.array([1]))  # class 1 of the unshot light: once reflected
+    s.unshot[0] = 0.25  # own emission, unshot
+    # Side 1 becomes two of area 1, of which the first got 1.5 of the mean light and the second 0.5.
+    root, factor = np.array([0, 1, 1, 2]), np.repeat([[1.0], [1.5], [0.5], [1.0]], 3, axis=1)
+    fine = MatrixTransport(np.ones(4), np.full((4, 3), 0.5), np.zeros((4, 4)))
+    new = s.refined(fine, root, factor)
+    once = s.unshot[1, 1]
+    assert (once > 0).all()
+    assert np.array_equal(new.unshot[0], np.full((4, 3), 0.25))
+    assert np.allclose(new.unshot[1, 1:3], [1.5 * once, 0.5 * once], rtol=1e-15)
+    assert np.allclose(new.direct[1:3], [1.5 * s.direct[1], 0.5 * s.direct[1]], rtol=1e-15)
+    assert np.allclose(new.unshot_flux()[1:3].sum(), s.unshot_flux()[1], rtol=1e-15)
+    assert np.allclose(new.remaining(), s.remaining(), rtol=1e-15) and new.absorbed is not s.absorbed
+
+
+def test_the_ambient_estimate_is_that_of_a_scene_which_loses_the_share_that_shots_have_lost():
+    """A = area x unshot radiosity x stays / area / (1 - rho stays): the series of Cohen 1988 in which a share escapes each time."""
+    rho, stays = 0.5, 0.75
+    open_box = MatrixTransport(np.ones(2), np.full((2, 3), rho), np.array([[0.0, stays], [stays, 0.0]]), np.full(2, 1 - stays))
+    s = DiffuseShooting(open_box, np.repeat([[1.0], [0.0]], 3, axis=1), np.zeros((2, 3)))
+    assert not s.ambient().any()  # no shot has shown yet what escapes
+    s.shoot(np.array([0]), np.array([1]))
+    # Unshot is rho stays on one of two equal sides, both of them reached.
+    assert np.allclose(s.ambient(), rho * stays * stays / 2 / (1 - rho * stays), rtol=1e-14)
+    # What it estimates is the mean of the light that is still to come.
+    before = s.indirect.mean()
+    for _ in Southwell(s, Grouping(1, 1 << 20), 1e-14).run():
+        pass
+    assert np.isclose(s.indirect.mean() - before, rho * stays * stays / 2 / (1 - rho * stays), rtol=1e-12)
+
+
 def test_nothing_to_shoot_ends_at_once():
     shooting = Southwell(state((0.0, 0.0, 0.0)), Grouping(1, 1 << 20), 1e-3)
     assert list(shooting.run()) == [] and not shooting.unfinished and shooting.share == 0

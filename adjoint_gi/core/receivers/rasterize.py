@@ -132,8 +132,8 @@ def row_extent(xy: np.ndarray, which: np.ndarray, row: np.ndarray) -> tuple[np.n
         safe = np.where(level, 1.0, dy)
         t0, t1 = (row - 1e-6 - p[:, 1]) / safe, (row + 1 + 1e-6 - p[:, 1]) / safe
         t0, t1 = np.minimum(t0, t1), np.maximum(t0, t1)
-        t0, t1 = np.where(level, 0.0, t0), np.where(level, 1.0, t1)
-        misses = (t1 < 0) | (t0 > 1) | (level & ((p[:, 1] < row - 1e-6) | (p[:, 1] > row + 1 + 1e-6)))
+        # The ends of a level edge are those of the other two, which have an extent in y, as the triangle has an area.
+        misses = level | (t1 < 0) | (t0 > 1)
         dx = q[:, 0] - p[:, 0]
         x0, x1 = p[:, 0] + np.clip(t0, 0, 1) * dx, p[:, 0] + np.clip(t1, 0, 1) * dx
         left = np.minimum(left, np.where(misses, np.inf, np.minimum(x0, x1)))
