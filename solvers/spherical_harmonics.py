@@ -29,14 +29,14 @@ from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.registry import DETERMINISTIC, SHOOTING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
-from ..adjoint_gi.core.radiosity.southwell import Grouping, Southwell, balance, length_classes
+from ..adjoint_gi.core.radiosity.southwell import RAYS_PER_GROUP, Grouping, Southwell, balance, length_classes
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import World
 
-RAYS_PER_GROUP = 1 << 16  # rays of the sides that shoot together
-MIN_RAYS_PER_SHOT, MAX_RAYS_PER_SHOT = 16, 1 << 16  # rays of one shot
+# A side keeps many coefficients: other bounds than those of diffuse shooting (`core.radiosity.southwell`).
+MIN_RAYS_PER_HARMONIC_SHOT, MAX_RAYS_PER_HARMONIC_SHOT = 16, 1 << 16  # rays of one shot
 RAYS_PER_COEFFICIENT = 8  # in shots of sides that are not plainly diffuse
-MAX_SIDES_PER_GROUP = 1 << 13  # sides that shoot together at most
+MAX_HARMONIC_SIDES_PER_GROUP = 1 << 13  # sides that shoot together at most
 PATIENCE = 8  # times that all sides may shoot before the unshot light must have become less: in narrow lobes ringing is passed on for ever
 
 
@@ -140,8 +140,7 @@ def grouping(state: HarmonicShooting, carriers: int) -> Grouping:
     def fewest(index: np.ndarray) -> np.ndarray:
         # Noise: a narrow lobe makes of one ray a radiance whose mean square is about `size` times that of an even one. Sent on along
         # fewer rays than this, each of which may hit another mirror, it would grow from bounce to bounce.
-        return np.where(
-            state.scattering.shiny[index >> 1], max(MIN_RAYS_PER_SHOT, RAYS_PER_COEFFICIENT * state.basis.size), MIN_RAYS_PER_SHOT
-        )
+        narrow = max(MIN_RAYS_PER_HARMONIC_SHOT, RAYS_PER_COEFFICIENT * state.basis.size)
+        return np.where(state.scattering.shiny[index >> 1], narrow, MIN_RAYS_PER_HARMONIC_SHOT)
 
-    return Grouping(carriers, RAYS_PER_GROUP, MAX_SIDES_PER_GROUP, fewest, MAX_RAYS_PER_SHOT)
+    return Grouping(carriers, RAYS_PER_GROUP, MAX_HARMONIC_SIDES_PER_GROUP, fewest, MAX_RAYS_PER_HARMONIC_SHOT)

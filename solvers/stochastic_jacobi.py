@@ -25,7 +25,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf.lobes import DIFFUSE_LOBES
 from ..adjoint_gi.core.elements.answer import element_count
 from ..adjoint_gi.core.elements.rays import ElementRays
@@ -47,14 +46,8 @@ RUNS = 8  # independent runs, at least
 class StochasticJacobiSettings(RadiositySettings):
     """Settings of stochastic Jacobi radiosity."""
 
-    rays: int = setting(
-        1_000_000,
-        "Rays",
-        "Rays that carry all emitted flux, over all runs; each reflection takes rays by the flux that is left",
-        min=1,
-        max=common.MOST_RAYS,
-        soft_max=100_000_000,
-        effort=True,
+    rays: int = common.shooting_rays(
+        1_000_000, "Rays that carry all emitted flux, over all runs; each reflection takes rays by the flux that is left", effort=True
     )
 
 

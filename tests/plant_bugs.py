@@ -144,6 +144,27 @@ BUGS = (
         "self.unmet.sum(axis=0)",
         "tests/methods/test_multi_pass.py -k caustics",
     ),
+    Bug(
+        "time in which a step is held counts while sampling",
+        "adjoint_gi/core/walks/gathering.py",
+        "yield from self.clock.pause(Step(done / total, text, self.solution))",
+        "yield Step(done / total, text, self.solution)",
+        "tests/methods/test_seconds.py",
+    ),
+    Bug(
+        "light of shadowless lamps left to rays that walls stop",
+        "adjoint_gi/core/lights/emitters.py",
+        "(self.lamps.large & self.lamps.shadow)[self.sized]",
+        "self.lamps.large[self.sized]",
+        "tests/core/test_emitters.py -k behind_a_wall",
+    ),
+    Bug(
+        "unshot light of refined sides as even as before",
+        "adjoint_gi/core/radiosity/southwell.py",
+        "        new.unshot[1:] *= factor\n",
+        "",
+        "tests/core/test_southwell.py",
+    ),
 )
 
 

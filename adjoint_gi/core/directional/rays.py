@@ -15,7 +15,7 @@ from ..scene.arrays import RayKind
 from .bins import frames
 
 POINTS = 4  # points of an element that look at the lights, times `samples`
-LIGHT_BATCH = 1 << 14
+RAYS_PER_LIGHT_BATCH = 1 << 14  # about, towards lights, in one piece of work
 
 
 class DirectionalRays(ElementRays):
@@ -88,7 +88,7 @@ class ArrivingLight:
         if not (self.emitters.any_drawn(False, False) or self.background):
             return
         total = len(self.caster.frames)
-        block = max(1, LIGHT_BATCH // self.points)
+        block = max(1, RAYS_PER_LIGHT_BATCH // self.points)
 
         def work(first: int) -> tuple[int, list, int]:
             side = np.repeat(np.arange(first, min(first + block, total)), self.points)

@@ -65,9 +65,9 @@ def element_rays(default: int, help: str) -> Any:
     return setting(default, "Rays per Element", help, min=1, max=1 << 20, soft_max=16384)
 
 
-def shooting_rays(default: int, help: str) -> Any:
-    """Rays that carry all emitted flux."""
-    return setting(default, "Rays", help, min=1, max=MOST_RAYS, soft_max=100_000_000)
+def shooting_rays(default: int, help: str, *, effort: bool = False) -> Any:
+    """Rays that carry all emitted flux; a budget may raise them where they are the `effort` of the method."""
+    return setting(default, "Rays", help, min=1, max=MOST_RAYS, soft_max=100_000_000, effort=effort)
 
 
 def particles(default: int, help: str) -> Any:
