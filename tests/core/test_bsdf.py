@@ -5,7 +5,7 @@ import pytest
 from adjgi.adjoint_gi.core.bsdf import lobes as kinds
 from adjgi.adjoint_gi.core.bsdf import microfacet
 from adjgi.adjoint_gi.core.bsdf import table as bsdf
-from adjgi.adjoint_gi.core.bsdf.diffuse import cosine_directions
+from adjgi.adjoint_gi.core.bsdf.diffuse import local_cosine_directions
 from adjgi.adjoint_gi.core.directional.bins import Bins
 from adjgi.adjoint_gi.core.directional.scattering import Scattering
 from adjgi.adjoint_gi.core.elements.elements import Elements
@@ -319,7 +319,7 @@ def test_elements_with_directions_scatter_a_rough_diffuse_lobe_as_it_is(many, co
     # Sides are in the frame of their element: what counts is the angle between the bins.
     n = 1 << 17
     rng = np.random.default_rng(6)
-    wo, wi = (cosine_directions(rng.random((2, n), np.float32)) for _ in range(2))
+    wo, wi = (local_cosine_directions(rng.random((2, n), np.float32)) for _ in range(2))
     f = bsdf.evaluate(lobes_at(lobes, wo), wi)[0] / wi[:, 2:]
     arriving = np.zeros((2, bins.size, 3))
     lit = bins.of(wi[:1])[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..sampling.maps import dot_rows
 from . import microfacet as mf
 from .curves import MU, Curves
 from .lobe import DELTA_ALPHA
@@ -41,5 +42,5 @@ def coat_albedo(mu: np.ndarray, roughness: float, ior: float) -> np.ndarray:
     wo = np.stack([np.sqrt(1 - m * m), np.zeros_like(m), m], axis=1)
     h = mf.visible_normal(wo, alpha, np.tile(a.ravel(), len(mu)).astype(np.float32), np.tile(b.ravel(), len(mu)).astype(np.float32))
     wi = mf.reflect(wo, h)
-    value = mf.masking(wo, wi, alpha) * (1 + mf.smith_lambda(wo, alpha)) * mf.fresnel(mf.dot(wo, h), np.full(len(m), ior, np.float32))
+    value = mf.masking(wo, wi, alpha) * (1 + mf.smith_lambda(wo, alpha)) * mf.fresnel(dot_rows(wo, h), np.full(len(m), ior, np.float32))
     return np.where(wi[:, 2] > 0, value, 0).reshape(len(mu), -1).mean(axis=1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..sampling.maps import TWO_PI, polar
+from ..sampling.maps import TWO_PI, polar_rows
 from . import microfacet as mf
 from .lobe import Drawn, LobeKind, LobeView
 
@@ -22,7 +22,7 @@ class Diffuse(LobeKind):
 
     def sample(self, seen: LobeView, smooth: np.ndarray, r: np.ndarray) -> Drawn:
         """With the density cosine / pi."""
-        return Drawn(cosine_directions(r), seen.color)
+        return Drawn(local_cosine_directions(r), seen.color)
 
 
 def lambert(color: np.ndarray, cosine: np.ndarray) -> np.ndarray:
@@ -30,6 +30,6 @@ def lambert(color: np.ndarray, cosine: np.ndarray) -> np.ndarray:
     return color * (cosine / mf.PI)[:, None]
 
 
-def cosine_directions(r: np.ndarray) -> np.ndarray:
+def local_cosine_directions(r: np.ndarray) -> np.ndarray:
     """(n, 3) directions about z with the density cosine / pi, from `r` (2 or more, n)."""
-    return np.ascontiguousarray(polar(r[1], TWO_PI * r[0]).T)
+    return polar_rows(r[1], TWO_PI * r[0])

@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..sampling.maps import dot_rows
+
 PI = np.float32(np.pi)
 TINY = np.float32(1e-20)
-
-
-def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(n,) dot products of rows."""
-    return np.einsum("ij,ij->i", a, b)
 
 
 def cosine_entry(cosine: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -48,8 +45,8 @@ def visible_normal(wo: np.ndarray, alpha: np.ndarray, r1: np.ndarray, r2: np.nda
     """Microfacet normals (n, 3) drawn with density G1(wo) max(0, wo.h) D(h) / wo_z; wo must be above the surface."""
     # Stretch the view direction so that the microsurface becomes a hemisphere.
     v = wo * np.stack([alpha, alpha, np.ones_like(alpha)], axis=1)
-    v /= np.maximum(np.sqrt(dot(v, v)), TINY)[:, None]
-    # An orthonormal frame around it.
+    v /= np.maximum(np.sqrt(dot_rows(v, v)), TINY)[:, None]
+    # An orthonormal frame around it: Heitz's, whose first axis is horizontal; `maps.frame` would draw other points of the same lobe.
     length = v[:, 0] ** 2 + v[:, 1] ** 2
     scale = 1 / np.sqrt(np.maximum(length, TINY))
     flat = length < 1e-14
@@ -66,13 +63,13 @@ def visible_normal(wo: np.ndarray, alpha: np.ndarray, r1: np.ndarray, r2: np.nda
     # Back to the ellipsoid.
     h *= np.stack([alpha, alpha, np.ones_like(alpha)], axis=1)
     h[:, 2] = np.maximum(h[:, 2], np.float32(1e-6))
-    return (h / np.sqrt(dot(h, h))[:, None]).astype(np.float32)
+    return (h / np.sqrt(dot_rows(h, h))[:, None]).astype(np.float32)
 
 
 def visible_pdf(wo: np.ndarray, h: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """Density of `visible_normal` per solid angle of h, (n,)."""
     g1 = 1 / (1 + smith_lambda(wo, alpha))
-    return g1 * np.maximum(dot(wo, h), 0) * distribution(h, alpha) / np.maximum(np.abs(wo[:, 2]), np.float32(1e-6))
+    return g1 * np.maximum(dot_rows(wo, h), 0) * distribution(h, alpha) / np.maximum(np.abs(wo[:, 2]), np.float32(1e-6))
 
 
 def fresnel(cos_i: np.ndarray, eta: np.ndarray) -> np.ndarray:
@@ -93,12 +90,12 @@ def schlick(cos_i: np.ndarray, f0: np.ndarray) -> np.ndarray:
 
 def reflect(w: np.ndarray, h: np.ndarray) -> np.ndarray:
     """w mirrored about h, (n, 3)."""
-    return 2 * dot(w, h)[:, None] * h - w
+    return 2 * dot_rows(w, h)[:, None] * h - w
 
 
 def refract(w: np.ndarray, h: np.ndarray, eta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Refracted direction (n, 3) of w through a facet h with w.h > 0, and (n,) bool where there is total reflection."""
-    c = dot(w, h)
+    c = dot_rows(w, h)
     inv = 1 / eta
     c2 = 1 - inv * inv * (1 - c * c)
     total = c2 <= 0

@@ -16,6 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ..sampling.maps import dot_rows
 from . import microfacet as mf
 from .curves import MU, Curves, Mixture
 
@@ -76,7 +77,7 @@ def _scattered(roughness: float, ior: float | None, side: int) -> list[tuple[int
     if ior is None:
         return [(0, wi[:, 2].reshape(MU, n), share.reshape(MU, n))]
     eta = np.full(len(mu), 1 / ior if side else ior, np.float32)
-    fresnel = mf.fresnel(mf.dot(wo, h), eta).astype(np.float64)
+    fresnel = mf.fresnel(dot_rows(wo, h), eta).astype(np.float64)
     t, total = mf.refract(wo, h, eta)
     passed = np.where((t[:, 2] < 0) & ~total, (1 - fresnel) / (1 + mf.smith_lambda(t, alpha)), 0) * np.tile(density, MU)
     return [

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..sampling.maps import dot_rows
 from . import microfacet as mf
-from .diffuse import cosine_directions
+from .diffuse import local_cosine_directions
 from .lobe import Drawn, LobeKind, LobeView
 
 LOSS = np.float32(np.pi / 2 - 2 / 3)  # 1 - E(cos) = b (LOSS - G(cos))
@@ -39,7 +40,7 @@ class OrenNayar(LobeKind):
 
     def sample(self, seen: LobeView, smooth: np.ndarray, r: np.ndarray) -> Drawn:
         """With the density cosine / pi."""
-        return Drawn(cosine_directions(r), seen.color)
+        return Drawn(local_cosine_directions(r), seen.color)
 
     def split(self, alpha: float) -> tuple[str, float]:
         """A smooth one, which is an ideal diffuser."""
@@ -60,7 +61,7 @@ def terms(alpha: np.ndarray, wo: np.ndarray, wi: np.ndarray) -> tuple[np.ndarray
     a = 1 / (mf.PI + r * LOSS)
     b = r * a
     o, i = np.maximum(wo[:, 2], 0), np.maximum(wi[:, 2], 0)
-    s = mf.dot(wo, wi) - o * i
+    s = dot_rows(wo, wi) - o * i
     t = np.where(s > 0, s / np.maximum(np.maximum(o, i), mf.TINY), s)
     return a + b * t, b * (LOSS - _g(o)) * (LOSS - _g(i)) / (mf.PI * (LOSS - MEAN))
 

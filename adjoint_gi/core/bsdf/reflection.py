@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..sampling.maps import dot_rows
 from . import microfacet as mf
 from .lobe import DELTA_ALPHA, Drawn, LobeKind, LobeView
 
@@ -30,7 +31,7 @@ class Reflection(LobeKind):
         h = facets(seen, smooth, r)
         wi = mf.reflect(seen.wo, h)
         wi[wi[:, 2] <= 0] = 0
-        return Drawn(wi, self.reflected(seen, mf.dot(seen.wo, h)))
+        return Drawn(wi, self.reflected(seen, dot_rows(seen.wo, h)))
 
 
 class Glossy(Reflection):
@@ -115,6 +116,6 @@ def facets(seen: LobeView, smooth: np.ndarray, r: np.ndarray) -> np.ndarray:
 def mirrored(seen: LobeView, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """For wi (m, 3) above the surface: the facet normal h (m, 3) between wo and wi, the cosine (m,) to it, f |cos| (m,) if it is white."""
     h = seen.wo + wi
-    h /= np.maximum(np.sqrt(mf.dot(h, h)), mf.TINY)[:, None]
+    h /= np.maximum(np.sqrt(dot_rows(h, h)), mf.TINY)[:, None]
     value = mf.distribution(h, seen.alpha) * mf.masking(seen.wo, wi, seen.alpha) / (4 * seen.wo[:, 2])
-    return h, mf.dot(seen.wo, h), value
+    return h, dot_rows(seen.wo, h), value

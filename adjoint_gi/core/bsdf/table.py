@@ -14,14 +14,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..sampling.maps import frame_rows
+from ..sampling.maps import dot_rows, frame_rows
 from ..scene.arrays import Color, Lobe, RayKind, SceneArrays, constant_of
 from ..scene.shading import ColorField, ScalarField
 from ..scene.substitutes import as_diffuse
 from . import microfacet as mf
 from .coat import MAX_COAT_SHARE, Coats
 from .curves import Grid, Mixture
-from .diffuse import cosine_directions, lambert
+from .diffuse import lambert, local_cosine_directions
 from .lobe import LobeKind, LobeView
 from .lobes import ALL_LOBES, DELTA_BELOW, LOBE_KINDS, LOBES, NEARLY_DIFFUSE, PARTIAL, REFRACTING, present
 from .multiscatter import Gains
@@ -82,7 +82,7 @@ class Lobes:
 
     def to_local(self, w: np.ndarray) -> np.ndarray:
         """World directions in the frame."""
-        return np.stack([mf.dot(w, self.x), mf.dot(w, self.y), mf.dot(w, self.z)], axis=1)
+        return np.stack([dot_rows(w, self.x), dot_rows(w, self.y), dot_rows(w, self.z)], axis=1)
 
     def to_world(self, w: np.ndarray) -> np.ndarray:
         """Frame directions in the world."""
@@ -203,8 +203,8 @@ class BsdfTable:
         material = self._material[triangle]
         slots = tuple(slot.at(material, triangle, u, v) for slot in self.slots)
         x, y = frame_rows(ns)
-        local = np.stack([mf.dot(wo, x), mf.dot(wo, y), np.maximum(mf.dot(wo, ns), np.float32(1e-4))], axis=1)
-        local /= np.sqrt(mf.dot(local, local))[:, None]
+        local = np.stack([dot_rows(wo, x), dot_rows(wo, y), np.maximum(dot_rows(wo, ns), np.float32(1e-4))], axis=1)
+        local /= np.sqrt(dot_rows(local, local))[:, None]
         diffuse = np.clip(self.diffuse.at(triangle, u, v), 0, 1)
         return Lobes(wo, local, x, y, ns, diffuse, slots, side > 0, self.coating(triangle, u, v), self)
 
@@ -368,7 +368,7 @@ def sample(lobes: Lobes, rng: np.random.Generator, uniform: np.ndarray | None = 
     delta = np.zeros(n, bool)
     # 2. A direction in it: the diffuse lobe first, then the others.
     rows = np.flatnonzero(pick == 0)
-    wi[rows] = cosine_directions(r[1:, rows])
+    wi[rows] = local_cosine_directions(r[1:, rows])
     for i, kind, rows, seen in lobes.each(tuple(pick == i + 1 for i in range(len(lobes.slots)))):
         smooth = lobes.slots[i].delta[rows]
         drawn = kind.sample(seen, smooth, r[1:, rows])

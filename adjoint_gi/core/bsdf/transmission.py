@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..sampling.maps import dot_rows
 from . import microfacet as mf
 from .lobe import DELTA_ALPHA, Drawn, LobeKind, LobeView
 from .reflection import facets, mirrored
@@ -43,8 +44,8 @@ class Refraction(LobeKind):
         o, a, e = seen.wo, seen.alpha, seen.eta
         h = -(o + e[:, None] * wi)
         h *= np.where(h[:, 2] < 0, np.float32(-1), np.float32(1))[:, None]
-        h /= np.maximum(np.sqrt(mf.dot(h, h)), mf.TINY)[:, None]
-        co, ci = mf.dot(o, h), mf.dot(wi, h)
+        h /= np.maximum(np.sqrt(dot_rows(h, h)), mf.TINY)[:, None]
+        co, ci = dot_rows(o, h), dot_rows(wi, h)
         good = (co > 0) & (ci < 0)
         f = self._facet(co, e)
         # dw_h / dw_i with the index on the side of wi: Walter et al. 2007, Eq. 17.
@@ -57,7 +58,7 @@ class Refraction(LobeKind):
     def sample(self, seen: LobeView, smooth: np.ndarray, r: np.ndarray) -> Drawn:
         """A visible facet, and reflection or transmission at it. The choice between them cancels the share that a facet reflects."""
         eta, h = seen.eta, facets(seen, smooth, r)
-        go = r[2] >= self._facet(mf.dot(seen.wo, h), eta)
+        go = r[2] >= self._facet(dot_rows(seen.wo, h), eta)
         wi, total = mf.refract(seen.wo, h, eta)
         wi = np.where(go[:, None], wi, mf.reflect(seen.wo, h))
         wi[(go & (total | (wi[:, 2] >= 0))) | (~go & (wi[:, 2] <= 0))] = 0

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from ..sampling.maps import polar_rows
 from .pairs import Pairs
 
 TWO_PI = 2 * np.pi
@@ -37,8 +38,7 @@ class Bins:
         """(n, 3) float32 unit directions at places u, v (n,) in 0..1 of the bins (n,), uniform in projected solid angle."""
         s = (bin // self.columns + u) / self.rows
         phi = TWO_PI * (bin % self.columns + v) / self.columns
-        r = np.sqrt(s)
-        return np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(np.maximum(1 - s, 1e-7))], axis=1).astype(np.float32)
+        return polar_rows(s, phi).astype(np.float32)
 
     def basis(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Bins (n, 4) int64 around directions `w` (n, 3) and their weights (n, 4), bilinear between the middles of the bins."""
@@ -133,7 +133,8 @@ def _reciprocal(table: np.ndarray, measure: np.ndarray) -> np.ndarray:
 def frames(normal: np.ndarray) -> np.ndarray:
     """(2 n, 3, 3) float32 rows x, y, z of the frames of both sides of elements with front normals `normal` (n, 3).
 
-    x is horizontal, so that elements of a smooth surface have about the same frame. Both sides share x and y; z is the side's normal.
+    x is horizontal, so that elements of a smooth surface have about the same frame; the x of `maps.frame` turns with the normal. Both
+    sides share x and y; z is the side's normal.
     """
     n = np.asarray(normal, np.float64)
     x = np.stack([-n[:, 1], n[:, 0], np.zeros(len(n))], axis=1)

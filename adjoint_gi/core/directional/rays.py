@@ -10,7 +10,7 @@ from ..base.parallel import in_order
 from ..elements.elements import Elements
 from ..elements.rays import ElementRays, shifted_points
 from ..lights.emitters import Emitters
-from ..sampling.maps import TWO_PI, polar
+from ..sampling.maps import TWO_PI, polar_rows
 from ..scene.arrays import RayKind
 from .bins import frames
 
@@ -46,7 +46,7 @@ class DirectionalRays(ElementRays):
     def cosine(self, number: np.ndarray, stream: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Ray `number` of the fixed set of `stream`: place on the side (2, n) and direction by the cosine (n, 3), float32."""
         u = shifted_points(number, stream).astype(np.float32)
-        return u[:2], np.ascontiguousarray(polar(u[2], TWO_PI * u[3]).T)
+        return u[:2], polar_rows(u[2], TWO_PI * u[3])
 
     def trace(self, side: np.ndarray, a: np.ndarray, b: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Sides met (n,) int64, -1 where rays escape, and the directions (n, 3) in their frames from which the rays arrive there."""

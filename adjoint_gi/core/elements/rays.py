@@ -30,7 +30,8 @@ class ElementRays:
     def __init__(self, elements: Elements) -> None:
         self.elements = elements
         self.world = elements.world
-        # One row an element: corner, the edges along local a and b, and the frame t1, t2, n for directions.
+        # One row an element: corner, the edges along local a and b, and the frame t1, t2, n for directions. t1 lies along an edge and is
+        # not that of `maps.frame`, so that the fixed sets of rays lie in the same way on elements that are alike.
         index = np.arange(elements.count)
         zero, one = np.zeros(elements.count), np.ones(elements.count)
         corner = elements.position(index, zero, zero)

@@ -11,8 +11,8 @@ import numpy as np
 
 from ..bsdf import table as bsdf
 from ..bsdf.lobes import HIGHLIGHT
-from ..bsdf.microfacet import dot
 from ..sampling.additive import STEPS, additive
+from ..sampling.maps import dot_rows
 from ..scene.arrays import RayKind
 from ..scene.world import Surface, World
 from .emitters import Emitters
@@ -58,8 +58,8 @@ class LightPoints:
         for index, many, a, b in self._draws:
             s = self.emitters.draw_from(index, p, a, b)
             wi = np.ascontiguousarray(s.wi.T)
-            cosine = np.maximum(dot(wi, surface.ns), 0)
-            weight = np.where((cosine > 0) & (dot(wi, surface.ng) > 0), 1 / (s.pdf_w * np.float32(many)), np.float32(0))
+            cosine = np.maximum(dot_rows(wi, surface.ns), 0)
+            weight = np.where((cosine > 0) & (dot_rows(wi, surface.ng) > 0), 1 / (s.pdf_w * np.float32(many)), np.float32(0))
             radiance = s.radiance.T
             lit = np.flatnonzero((weight > 0) & (radiance.max(axis=1) > 0))
             cast = 0
@@ -80,8 +80,8 @@ def exponent(roughness: np.ndarray) -> np.ndarray:
 
 def phong_lobe(lobes: bsdf.Lobes, wi: np.ndarray) -> np.ndarray:
     """(n, 3) k_s (n + 2) / (2 pi) cos^n alpha, summed over the glossy lobes; alpha is the angle of wo to the mirror direction of wi."""
-    mirrored = 2 * dot(wi, lobes.z)[:, None] * lobes.z - wi
-    cosine = np.maximum(dot(mirrored, lobes.wo), 0)
+    mirrored = 2 * dot_rows(wi, lobes.z)[:, None] * lobes.z - wi
+    cosine = np.maximum(dot_rows(mirrored, lobes.wo), 0)
     out = np.zeros((len(wi), 3), np.float32)
     for _, kind, rows, seen in lobes.each(tuple(HIGHLIGHT[s.kind] for s in lobes.slots)):
         power = exponent(np.sqrt(seen.alpha))

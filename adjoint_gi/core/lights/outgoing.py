@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..sampling.maps import cone_local, disk, frame_rows, polar
+from ..sampling.maps import cone_local, disk, frame_rows, polar_rows
 
 
 def reject(local: np.ndarray, keep: Callable, propose: Callable, rng: np.random.Generator) -> None:
@@ -29,7 +29,7 @@ def cone_directions(low: float, s: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 def lambert_cone(widest: float, s: np.ndarray, t: np.ndarray) -> np.ndarray:
     """(n, 3) directions with density proportional to cosine, up to the angle of sine `widest` from z."""
-    return np.ascontiguousarray(polar(widest**2 * s, 2 * np.pi * t).T)
+    return polar_rows(widest**2 * s, 2 * np.pi * t)
 
 
 def across(direction: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

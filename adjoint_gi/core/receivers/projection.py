@@ -83,6 +83,7 @@ def _direction(mesh: Mesh, chart: np.ndarray) -> np.ndarray:
 
 def _plane(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit vectors (n, 3) of x and y in the plane across `normal` (n, 3); x is as horizontal as can be."""
+    # Charts are seen by users, so walls must stand upright: not `maps.frame`, whose x turns with the normal.
     x = np.cross(np.where(np.abs(normal[:, 2:]) > 0.9, [[0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]]), normal)
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     return x, np.cross(normal, x)

@@ -19,6 +19,11 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.einsum("ij,ij->j", a, b)
 
 
+def dot_rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(n,) scalar products of row vectors (n, 3)."""
+    return np.einsum("ij,ij->i", a, b)
+
+
 def columns(vectors: np.ndarray) -> np.ndarray:
     """(3, n) float32 contiguous copy of row vectors (n, 3)."""
     return np.ascontiguousarray(np.asarray(vectors, np.float32).T)
@@ -67,6 +72,11 @@ def polar(sine2: np.ndarray, phi: np.ndarray) -> np.ndarray:
     """
     r = np.sqrt(sine2)
     return np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(np.maximum(1 - sine2, np.float32(1e-7)))])
+
+
+def polar_rows(sine2: np.ndarray, phi: np.ndarray) -> np.ndarray:
+    """`polar` for rows: (n, 3) unit vectors about the z axis."""
+    return np.ascontiguousarray(polar(sine2, phi).T)
 
 
 def frame(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
