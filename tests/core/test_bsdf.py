@@ -5,7 +5,9 @@ import pytest
 from adjgi.adjoint_gi.core.bsdf import lobes as kinds
 from adjgi.adjoint_gi.core.bsdf import microfacet
 from adjgi.adjoint_gi.core.bsdf import table as bsdf
+from adjgi.adjoint_gi.core.bsdf.curves import Mixture
 from adjgi.adjoint_gi.core.bsdf.diffuse import local_cosine_directions
+from adjgi.adjoint_gi.core.bsdf.lobe import LobeView
 from adjgi.adjoint_gi.core.directional.bins import Bins
 from adjgi.adjoint_gi.core.directional.scattering import Scattering
 from adjgi.adjoint_gi.core.elements.elements import Elements
@@ -254,12 +256,62 @@ def test_white_rough_diffuse_surfaces_lose_nothing(mu, roughness):
     assert once.mean() < 1 - 0.1 * roughness * mu
 
 
-def test_a_smooth_rough_diffuse_lobe_is_an_ideal_diffuser():
-    rng = np.random.default_rng(4)
-    wo, wi = view(0.6, 1000), rng.normal(size=(1000, 3))
-    wi = (wi / np.linalg.norm(wi, axis=1, keepdims=True)).astype(np.float32)
-    got, want = (bsdf.evaluate(lobes_at(lobes, wo), wi) for lobes in (rough(0.7, 0.0), [Lobe("diffuse", C(0.7))]))
+COAT = Lobe("specular", C(1.0), 0.4, 1.5)
+
+
+def directions(n, seed):
+    w = np.random.default_rng(seed).normal(size=(n, 3))
+    return (w / np.linalg.norm(w, axis=1, keepdims=True)).astype(np.float32)
+
+
+@pytest.mark.parametrize("coat", [[], [COAT]], ids=["bare", "coated"])
+@pytest.mark.parametrize("many", [False, True])
+def test_a_smooth_rough_diffuse_lobe_is_an_ideal_diffuser(many, coat):
+    wo, wi = view(0.6, 1000), directions(1000, 4)
+    got, want = (bsdf.evaluate(lobes_at([*lobes, *coat], wo), wi) for lobes in (rough(0.7, 0.0, many), [Lobe("diffuse", C(0.7))]))
     assert np.allclose(got[0], want[0], atol=1e-6) and np.allclose(got[1], want[1], atol=1e-6)
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.5, 1.0])
+def test_a_coat_dims_a_rough_diffuse_lobe_as_it_does_a_smooth_one(roughness):
+    """By the same reciprocal factor, so that a white one under a coat sends back what arrives, but for where its light is more or less."""
+    n = 100_000
+    factor, albedo = [], []
+    for base in (rough(1.0, roughness), [Lobe("diffuse", C(1.0))]):
+        wo, wi = directions(1000, 5), directions(1000, 6)
+        wo[:, 2], wi[:, 2] = np.abs(wo[:, 2]), np.abs(wi[:, 2])
+        bare, coat, both = (bsdf.evaluate(lobes_at(lobes, wo), wi)[0][:, 0] for lobes in (base, [COAT], [*base, COAT]))
+        back = bsdf.evaluate(lobes_at([*base, COAT], wi), wo)[0][:, 0]
+        assert np.allclose(both / wi[:, 2], back / wo[:, 2], rtol=2e-3, atol=1e-4)
+        factor.append((both - coat) / bare)
+        drawn = (bsdf.sample(lobes_at([*base, COAT], view(mu, n)), np.random.default_rng(7)) for mu in (0.3, 0.6, 1.0))
+        albedo.append([x.weight[:, 0].mean(dtype=float) for x in drawn])
+    assert factor[1].max() < 1 < 1.2 * factor[1].max()
+    assert np.allclose(*factor, rtol=2e-3, atol=2e-4)
+    assert albedo[0] == pytest.approx(albedo[1], abs=0.003 + 0.03 * roughness)
+
+
+@pytest.mark.parametrize("many", [False, True])
+@pytest.mark.parametrize("kind", [kind for kind in kinds.LOBES if kind.delta_below < np.inf], ids=lambda kind: kind.name)
+def test_factors_and_tints_of_a_white_lobe_make_up_the_lobe(kind, many):
+    """Of single scattering, with what a lobe adds by itself where more bounces count."""
+    n, alpha = 2000, 0.49
+    wo, wi = directions(n, 8), directions(n, 9)
+    wo[:, 2] = np.abs(wo[:, 2])
+
+    def seen(color, alpha, many):
+        shape = np.full(n, alpha, np.float32), np.full(n, 1.5, np.float32)
+        return LobeView(wo, color, *shape, Mixture.of(0, n), np.ones(n, bool), np.full(n, many), color)
+
+    color = np.tile(np.float32([0.9, 0.6, 0.2]), (n, 1))
+    name, width = kind.split(alpha)
+    (base,) = (k for k in kinds.LOBES if k.name == name)
+    white = base.evaluate(seen(np.ones_like(color), width, False), wi)[0]
+    factors, tints = kind.factors(alpha, wo, wi), kind.tints(alpha, many, color, color)
+    assert len(factors) == len(tints) == kind.parts
+    got = sum(white * f[:, None] * t for f, t in zip(factors, tints, strict=True))
+    want = kind.evaluate(seen(color, alpha, many), wi)[0]
+    assert want.max() > 0.05 and np.allclose(got, want, rtol=1e-3, atol=1e-5)
 
 
 @pytest.mark.parametrize(

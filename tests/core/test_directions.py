@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.bsdf import lobes as kinds
 from adjgi.adjoint_gi.core.bsdf import table as bsdf
+from adjgi.adjoint_gi.core.bsdf.lobes import LOBE_KINDS
 from adjgi.adjoint_gi.core.directional.bins import Bins, frames
 from adjgi.adjoint_gi.core.directional.pairs import pairs
 from adjgi.adjoint_gi.core.directional.rays import DirectionalRays
@@ -104,12 +104,19 @@ def test_frames_of_both_sides_share_their_tangents():
 @pytest.mark.parametrize(("rows", "columns"), SIZES)
 @pytest.mark.parametrize(
     ("kind", "alpha"),
-    [(kinds.GLOSSY, 0.0), (kinds.GLOSSY, 0.2), (kinds.SPECULAR, 0.1), (kinds.GLASS, 0.2), (kinds.DIELECTRIC, 0.0), (kinds.REFRACTION, 0.0)],
+    [
+        (LOBE_KINDS["glossy"], 0.0),
+        (LOBE_KINDS["glossy"], 0.2),
+        (LOBE_KINDS["specular"], 0.1),
+        (LOBE_KINDS["glass"], 0.2),
+        (LOBE_KINDS["dielectric"], 0.0),
+        (LOBE_KINDS["refraction"], 0.0),
+    ],
 )
 def test_scattering_is_reciprocal_and_keeps_energy(rows, columns, kind, alpha):
     bins = Bins(rows, columns)
     front, back = (pairs(kind, alpha, 1.5, side, table(), 1 << 13) for side in (True, False))
-    measure = np.array([1.0, 2.25 if kind in (kinds.GLASS, kinds.REFRACTION) else 1.0])
+    measure = np.array([1.0, 2.25 if kind in (LOBE_KINDS["glass"], LOBE_KINDS["refraction"]) else 1.0])
     same, other = bins.kernels((front, back), measure)
     assert same.min() >= 0
     for side in (0, 1):
@@ -140,7 +147,7 @@ def across(bins):
 
 def test_a_mirror_maps_bins_to_the_mirrored_bin():
     bins = Bins(3, 8)
-    p = pairs(kinds.GLOSSY, 0.0, 1.5, True, table(), 1 << 13)
+    p = pairs(LOBE_KINDS["glossy"], 0.0, 1.5, True, table(), 1 << 13)
     same, _ = bins.kernels((p, p), np.ones(2))
     assert np.allclose(same[0][across(bins)], 1, atol=1e-6)
     assert same[0].sum() == pytest.approx(bins.size, rel=1e-6)
@@ -148,7 +155,7 @@ def test_a_mirror_maps_bins_to_the_mirrored_bin():
 
 def test_light_that_passes_a_transparent_sheet_goes_straight():
     bins = Bins(2, 6)
-    p = pairs(kinds.TRANSPARENT, 1.0, 1.0, True, table(), 1 << 12)
+    p = pairs(LOBE_KINDS["transparent"], 1.0, 1.0, True, table(), 1 << 12)
     same, other = bins.kernels((p, p), np.ones(2))
     assert not same.any()
     assert np.allclose(other[:, *across(bins)], 1, atol=1e-6)

@@ -95,12 +95,13 @@ def test_coincident_invisible_faces_are_all_passed():
     assert world.intersect(origin, np.array([[0, 0, -2]], np.float32), RayKind.SHADOW)[3][0] == pytest.approx(0.2, rel=1e-5)
 
 
-def everything(veil=True):
+def everything(veil=True, floor="diffuse", panels=True):
     """Mirror, gloss, glass and diffuse surfaces before a camera, under a lamp, with a black ceiling below it or without."""
     b = SceneBuilder()
     white = Color.of(0.8, 0.8, 0.8)
-    b.quad("Floor", (-2, -2, 0), (4, 0, 0), (0, 4, 0), diffuse("Floor", 0.6))
-    for i, lobe in enumerate((Lobe("glossy", white, 0.0), Lobe("glossy", white, 0.3), Lobe("glass", white, 0.0, 1.4))):
+    b.quad("Floor", (-2, -2, 0), (4, 0, 0), (0, 4, 0), Material("Floor", (Lobe(floor, Color.of(0.6)),)))
+    lobes = (Lobe("glossy", white, 0.0), Lobe("glossy", white, 0.3), Lobe("glass", white, 0.0, 1.4)) if panels else ()
+    for i, lobe in enumerate(lobes):
         b.quad(f"Panel {i}", (-1.2 + 0.8 * i, 1, 0.1), (0.7, 0, 0), (0, 0.1, 0.8), Material(f"Panel {i}", (lobe,)))
     if veil:
         b.quad("Veil", (-2, -2, 1.2), (4, 0, 0), (0, 4, 0), diffuse("Veil", 0.0))
@@ -122,12 +123,15 @@ METHODS = {
     "whitted": {},
     "local_illumination": {},
     "two_pass": {"samples": 2, "max_edge": 0.5},
+    "particle_tracing": {"particles": 2000},
 }
 
 
+@pytest.mark.parametrize("floor", ["diffuse", "rough diffuse"])
+@pytest.mark.parametrize("panels", [True, False])
 @pytest.mark.parametrize("name", METHODS)
-def test_methods_cast_every_ray_as_what_it_is(name, monkeypatch):
-    """Kinds of nearest-hit rays by method; shadow rays only look for what hides a light."""
+def test_methods_cast_every_ray_as_what_it_is(name, panels, floor, monkeypatch):
+    """Kinds of nearest-hit rays by method; shadow rays only look for what hides a light. A rough diffuse floor scatters as a plain one."""
     cast, shadow = set(), set()
     intersect, occluded = World.intersect, World.occluded
 
@@ -141,16 +145,18 @@ def test_methods_cast_every_ray_as_what_it_is(name, monkeypatch):
 
     monkeypatch.setattr(World, "intersect", spy)
     monkeypatch.setattr(World, "occluded", spy_shadow)
-    picture(World(everything(veil=False)), name, **METHODS[name])
+    picture(World(everything(veil=False, floor=floor, panels=panels)), name, **METHODS[name])
     expected = set(KINDS) - {RayKind.SHADOW}
-    if name == "two_pass":
+    if name == "particle_tracing" or (name == "two_pass" and panels):
         expected = set(KINDS)  # particles of lamps fly as shadow rays do
+    if not panels:
+        expected -= {RayKind.GLOSSY, RayKind.TRANSMISSION}
     if name == "whitted":
         expected -= {RayKind.DIFFUSE}
     if name == "local_illumination":
         expected = {RayKind.CAMERA}
     assert cast == expected
-    assert shadow == {RayKind.SHADOW}
+    assert shadow == (set() if name == "particle_tracing" else {RayKind.SHADOW})
 
 
 @pytest.mark.parametrize("name", ["path_tracing", "whitted", "distribution"])

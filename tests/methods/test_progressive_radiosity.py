@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import SceneError
+from adjgi.adjoint_gi.core.bsdf.lobes import LOBES
 from adjgi.adjoint_gi.core.elements.elements import Elements
 from adjgi.adjoint_gi.core.elements.mesh import element_mesh
 from adjgi.adjoint_gi.core.elements.refinement import RefinedElements
@@ -17,7 +18,7 @@ from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.radiosity import importance as adaptive
 from adjgi.adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
-from adjgi.adjoint_gi.core.scene.arrays import Light
+from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes, solving
 from adjgi.tests.solving import grid, on_elements, quad_points
@@ -45,6 +46,20 @@ def test_one_furnace():
     area = receivers.elements.area[:, None]
     assert np.allclose((area * b).sum(axis=0) / 6, 2.0, rtol=1e-6)
     assert np.allclose(b, 2.0, rtol=0.01)
+
+
+@pytest.mark.parametrize("kind", LOBES, ids=lambda kind: kind.name)
+def test_every_kind_of_lobe_reflects_here_as_a_diffuse_surface_or_is_a_clear_surface_that_is_left_out(kind):
+    """A furnace of emitting walls with the lobe over a diffuse one: B = 1 / (1 - rho), and a notice of what was done to the lobe."""
+    lobes = (Lobe("diffuse", Color.of(0.3)), Lobe(kind.name, Color.of(0.5), 0.5, 1.5), Lobe("emission", Color.of(1 / np.pi)))
+    s = solve(on_elements(scenes.cube(materials=Material("Wall", lobes)), 0.5), rays=100_000, tolerance=1e-7)
+    albedo = 1 - 1 / s.quantity("radiosity")[0::2].mean() - 0.3
+    if kind.name in ("specular", "dielectric"):
+        assert albedo == pytest.approx(0.0, abs=1e-3)
+    else:
+        assert 0.9 * 0.5 < albedo < 0.5 + 1e-3
+    said = [n.reason for n in s.warnings if n.object == "Material Wall"]
+    assert said == ([] if kind.name == "diffuse" else [f"{kind.name} taken as diffuse by this method"])
 
 
 def test_one_every_bounce():

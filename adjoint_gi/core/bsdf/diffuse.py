@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..sampling.maps import TWO_PI, polar_rows
+from ..scene.arrays import RayKind
 from . import microfacet as mf
 from .lobe import Drawn, LobeKind, LobeView
 
@@ -14,6 +15,7 @@ class Diffuse(LobeKind):
 
     name = "diffuse"
     under_coat = True
+    ray_kind = RayKind.DIFFUSE
 
     def evaluate(self, seen: LobeView, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """By the cosine."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..scene.arrays import Color, Lobe, RayKind
 from .curves import Mixture
 
 # Lobes narrower than this are perfect mirrors: float32 cannot hold their peak.
@@ -66,6 +67,7 @@ class LobeKind(ABC):
     nearly_diffuse  whether methods that cannot do it take it as diffuse, and not as something that shines
     parts           how many `factors` there are
     two_sided       whether it looks the same from both sides
+    ray_kind        the `RayKind` of rays that it scatters without letting them through
     partial         whether `albedo` is far from 1 (of a coat, the scene's table of coats says it)
     """
 
@@ -73,6 +75,7 @@ class LobeKind(ABC):
     delta_below = np.float32(0)
     reflects = passes = refracts = under_coat = is_coat = highlight = partial = regains = nearly_diffuse = False
     two_sided = True
+    ray_kind = RayKind.GLOSSY
     parts = 1
 
     def evaluate(self, seen: LobeView, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -86,6 +89,10 @@ class LobeKind(ABC):
     def albedo(self, seen: LobeView) -> np.ndarray:
         """(m,) share of light from everywhere that is sent towards wo, over the colour."""
         return np.ones(len(seen.wo), np.float32)
+
+    def as_diffuse(self, lobe: Lobe) -> Color:
+        """Albedo of the diffuse surface that methods put in its place which know no other lobe; black where they leave it out."""
+        return lobe.color
 
     def mean(self, color: np.ndarray) -> np.ndarray:
         """(m, 3) what facets of this colour (m, 3) reflect and pass, in the mean over all angles."""

@@ -24,7 +24,7 @@ LOBES: tuple[LobeKind, ...] = (
     Dielectric(),
     OrenNayar(),
 )
-DIFFUSE, GLOSSY, METALLIC, SPECULAR, GLASS, REFRACTION, TRANSPARENT, DIELECTRIC, ROUGH_DIFFUSE = range(9)
+DIFFUSE = 0
 LOBE_KINDS = {kind.name: number for number, kind in enumerate(LOBES) if number}
 ALL_LOBES = frozenset(("emission", *(kind.name for kind in LOBES)))  # what surfaces may have
 DIFFUSE_LOBES = frozenset(("diffuse", "emission"))

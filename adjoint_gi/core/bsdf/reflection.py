@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..sampling.maps import dot_rows
+from ..scene.arrays import Color, Lobe
 from . import microfacet as mf
 from .lobe import DELTA_ALPHA, Drawn, LobeKind, LobeView
 
@@ -86,6 +87,10 @@ class Dielectric(Reflection):
         """By Fresnel's equations."""
         return seen.color * mf.fresnel(cosine, seen.eta)[:, None]
 
+    def as_diffuse(self, lobe: Lobe) -> Color:
+        """Left out."""
+        return Color()
+
     def albedo(self, seen: LobeView) -> np.ndarray:
         """The reflectance of a smooth boundary."""
         return mf.fresnel(seen.wo[:, 2], seen.eta)
@@ -100,6 +105,10 @@ class Specular(Reflection):
     def reflected(self, seen: LobeView, cosine: np.ndarray) -> np.ndarray:
         """By Fresnel's equations."""
         return seen.color * mf.fresnel(cosine, seen.ior)[:, None]
+
+    def as_diffuse(self, lobe: Lobe) -> Color:
+        """Left out."""
+        return Color()
 
     def highlight_tint(self, seen: LobeView) -> np.ndarray:
         """What it reflects at normal incidence."""

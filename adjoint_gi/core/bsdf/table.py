@@ -4,6 +4,10 @@ Three functions, as in Nori and pbrt: `evaluate` (f times cosine, and pdf_w), `s
 Radiance is carried as basic radiance (divided by the index squared), so one set of formulas serves gathering and shooting:
 T and T* differ only in which of the two directions is given.
 
+The diffuse lobe is not a slot like the others: nearly every point has one. `weights`, `evaluate` and `sample` compute it first, inline and
+at all points at once, by the functions of `diffuse.py`: no gather of the points that have it, no call for each kind. The order of the
+sums, the diffuse term before those of the slots, decides the last bits of every result.
+
 Limit: a coat loses what bounces more than once between its microfacets.
 """
 
@@ -23,7 +27,7 @@ from .coat import MAX_COAT_SHARE, Coats
 from .curves import Grid, Mixture
 from .diffuse import lambert, local_cosine_directions
 from .lobe import LobeKind, LobeView
-from .lobes import ALL_LOBES, DELTA_BELOW, LOBE_KINDS, LOBES, NEARLY_DIFFUSE, PARTIAL, REFRACTING, present
+from .lobes import ALL_LOBES, DELTA_BELOW, DIFFUSE, LOBE_KINDS, LOBES, NEARLY_DIFFUSE, PARTIAL, REFRACTING, present
 from .multiscatter import Gains
 
 __all__ = ["LOBE_KINDS", "LOBES", "BsdfTable", "Lobes", "Scattered", "Slot", "evaluate", "sample", "weights", "white_lobe"]
@@ -301,7 +305,7 @@ def _below_coat(lobes: Lobes, cosine: np.ndarray) -> np.ndarray | None:
 def weights(lobes: Lobes) -> np.ndarray:
     """(1 + slots, n) probabilities with which `sample` picks the diffuse lobe and each slot; sums to 1 (0 where all black)."""
     p = np.empty((1 + len(lobes.slots), len(lobes.wo)), np.float32)
-    p[0] = lobes.diffuse.mean(axis=1)
+    p[0] = lobes.diffuse.mean(axis=1)  # inline: see the head of this file
     for i, s in enumerate(lobes.slots):
         p[i + 1] = np.where(s.kind > 0, s.color.mean(axis=1), 0)
     for i, rows, albedo in lobes.albedos():
@@ -313,7 +317,7 @@ def evaluate(lobes: Lobes, wi: np.ndarray, p: np.ndarray | None = None) -> tuple
     """f(wo, wi) |cos| (n, 3) float32 and the density pdf_w (n,) with which `sample` finds wi; delta lobes count for nothing."""
     p = weights(lobes) if p is None else p
     w = lobes.to_local(wi)
-    # 1. The diffuse lobe, which most points have.
+    # 1. The diffuse lobe, which most points have; inline (see the head of this file).
     up = np.maximum(w[:, 2], 0)
     below = _below_coat(lobes, up)
     value = lambert(lobes.diffuse, up if below is None else up * below)
@@ -340,20 +344,19 @@ def gain_factor(kind: LobeKind, seen: LobeView, wi: np.ndarray, gains: Gains) ->
 @dataclass(frozen=True, eq=False)
 class Scattered:
     """Directions drawn by `sample`: wi (n, 3) world, weight (n, 3) = f |cos| / pdf, pdf_w (n,), delta (n,) bool,
-    through (n,) bool: wi lies beyond the surface; diffuse (n,) bool: drawn from the diffuse lobe. weight 0 ends the walk."""
+    through (n,) bool: wi lies beyond the surface; reflected (n,) uint8: the `RayKind` where it does not. weight 0 ends the walk."""
 
     wi: np.ndarray
     weight: np.ndarray
     pdf_w: np.ndarray
     delta: np.ndarray
     through: np.ndarray
-    diffuse: np.ndarray
+    reflected: np.ndarray
 
     @property
     def kind(self) -> np.ndarray:
         """(n,) uint8 `RayKind` of the rays."""
-        reflected = np.where(self.diffuse, RayKind.DIFFUSE, RayKind.GLOSSY)
-        return np.where(self.through, RayKind.TRANSMISSION, reflected)
+        return np.where(self.through, RayKind.TRANSMISSION, self.reflected)
 
 
 def sample(lobes: Lobes, rng: np.random.Generator, uniform: np.ndarray | None = None) -> Scattered:
@@ -366,13 +369,14 @@ def sample(lobes: Lobes, rng: np.random.Generator, uniform: np.ndarray | None = 
     wi = np.zeros((n, 3), np.float32)
     weight = np.zeros((n, 3), np.float32)
     delta = np.zeros(n, bool)
-    # 2. A direction in it: the diffuse lobe first, then the others.
+    reflected = np.full(n, LOBES[DIFFUSE].ray_kind)
+    # 2. A direction in it: the diffuse lobe first, inline (see the head of this file), then the others.
     rows = np.flatnonzero(pick == 0)
     wi[rows] = local_cosine_directions(r[1:, rows])
     for i, kind, rows, seen in lobes.each(tuple(pick == i + 1 for i in range(len(lobes.slots)))):
         smooth = lobes.slots[i].delta[rows]
         drawn = kind.sample(seen, smooth, r[1:, rows])
-        wi[rows], delta[rows] = drawn.wi, smooth
+        wi[rows], delta[rows], reflected[rows] = drawn.wi, smooth, kind.ray_kind
         found = smooth & drawn.wi.any(axis=1)
         weight[rows] = np.where(found[:, None], drawn.share / np.maximum(p[i + 1, rows], mf.TINY)[:, None], 0)
     # 3. Rough and diffuse: the whole BSDF over the whole density.
@@ -383,4 +387,4 @@ def sample(lobes: Lobes, rng: np.random.Generator, uniform: np.ndarray | None = 
         value, q = evaluate(lobes.take(dense), world[dense], p[:, dense])
         weight[dense] = np.where((q > 0)[:, None], value / np.maximum(q, mf.TINY)[:, None], 0)
         pdf[dense] = q
-    return Scattered(world.astype(np.float32), weight, pdf, delta, wi[:, 2] < 0, pick == 0)
+    return Scattered(world.astype(np.float32), weight, pdf, delta, wi[:, 2] < 0, reflected)

@@ -114,7 +114,7 @@ def evenly(lobes: bsdf.Lobes, scattered: bsdf.Scattered, rng: np.random.Generato
     through = np.where(d, scattered.through, np.einsum("ij,ij->i", wi, lobes.z) < 0)
     wi = np.where(d[:, None], scattered.wi, wi).astype(np.float32)
     weight = np.where(d[:, None], scattered.weight, value / pdf[:, None])
-    return bsdf.Scattered(wi, weight, np.where(d, 0, pdf), d, through, scattered.diffuse)
+    return bsdf.Scattered(wi, weight, np.where(d, 0, pdf), d, through, scattered.reflected)
 
 
 def even_density(lobes: bsdf.Lobes, p: np.ndarray | None = None) -> np.ndarray:
