@@ -138,6 +138,27 @@ BUGS = (
         "tests/core/test_bsdf.py -k reciprocal",
     ),
     Bug(
+        "a coat does not dim a rough diffuse lobe",
+        "adjoint_gi/core/bsdf/table.py",
+        "        if kind.under_coat and below is not None:",
+        "        if kind.under_coat and not kind.nearly_diffuse and below is not None:",
+        "tests/core/test_bsdf.py -k coat_dims",
+    ),
+    Bug(
+        "elements always keep what bounces again between rough diffuse facets",
+        "adjoint_gi/core/bsdf/oren_nayar.py",
+        "        return [color, many * color * kept(",
+        "        return [color, color * kept(",
+        "tests/core/test_bsdf.py -k factors",
+    ),
+    Bug(
+        "rough diffuse surfaces cast glossy rays",
+        "adjoint_gi/core/bsdf/oren_nayar.py",
+        "    ray_kind = RayKind.DIFFUSE",
+        "    ray_kind = RayKind.GLOSSY",
+        "tests/core/test_world.py -k cast_every",
+    ),
+    Bug(
         "caustics counted at every path length",
         "adjoint_gi/core/two_pass/caustics.py",
         "self.unmet[window[0] : window[1] + 1].sum(axis=0)",

@@ -12,7 +12,7 @@ from adjgi.adjoint_gi.core.directional.bins import Bins
 from adjgi.adjoint_gi.core.directional.scattering import Scattering
 from adjgi.adjoint_gi.core.elements.elements import Elements
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder
-from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material
+from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material, RayKind
 from adjgi.adjoint_gi.core.scene.shading import Shading
 from adjgi.adjoint_gi.core.scene.substitutes import as_diffuse
 from adjgi.adjoint_gi.core.scene.world import World
@@ -103,6 +103,8 @@ def test_every_kind_has_a_case_here_and_draws_nothing_without_a_density(number):
         assert drawn.delta[lit].all() == (roughness**2 < kind.delta_below)
         assert drawn.through[lit].any() == kind.passes
         assert (~drawn.through[lit]).any() == (kind.reflects or not kind.passes)
+        reflected = RayKind.DIFFUSE if kind.nearly_diffuse or kind.name == "diffuse" else RayKind.GLOSSY
+        assert (drawn.kind[lit] == np.where(drawn.through[lit], RayKind.TRANSMISSION, reflected)).all()
         assert (drawn.pdf_w[lit] > 0).all() != drawn.delta[lit].all()
 
 
