@@ -24,3 +24,18 @@ def counted(run: Callable[[], Result]) -> tuple[Result, int]:
         return run(), calls
     finally:
         sys.setprofile(before)
+
+
+class FakeTime:
+    """Stands in for the module `time`: a clock that moves only by its `sleep` and by `look` seconds whenever it is looked at."""
+
+    def __init__(self, look: float = 0.0) -> None:
+        self.now = 0.0
+        self.look = look
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+    def perf_counter(self) -> float:
+        self.now += self.look
+        return self.now

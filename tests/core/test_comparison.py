@@ -25,6 +25,7 @@ from adjgi.adjoint_gi.core.method.registry import Nature, Solver, Strategy
 from adjgi.adjoint_gi.core.method.solution import Solution, Step
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
+from adjgi.tests.counting import FakeTime
 from adjgi.tests.specs import spec_of
 
 STEP = 0.004  # seconds of a step
@@ -38,24 +39,10 @@ class CountSettings(Settings):
     fails: bool = setting(False, label="Fails", help="Whether it refuses the scene")
 
 
-class FakeTime:
-    """A clock that only sleeping and looking at it move on."""
-
-    def __init__(self):
-        self.now = 0.0
-
-    def sleep(self, seconds):
-        self.now += seconds
-
-    def perf_counter(self):
-        self.now += STEP
-        return self.now
-
-
 @pytest.fixture(autouse=True)
 def clock(monkeypatch):
     """The clock by which budgets end and the methods of this file work; a busy machine does not move it."""
-    fake = FakeTime()
+    fake = FakeTime(STEP)
     for module in (comparison, running, sys.modules[__name__]):
         monkeypatch.setattr(module, "time", fake)
     return fake

@@ -21,22 +21,10 @@ from adjgi.adjoint_gi.core.method.registry import Solver
 from adjgi.adjoint_gi.core.method.solution import Solution, Step
 from adjgi.adjoint_gi.core.receivers.base import SurfaceReceivers
 from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.tests.counting import FakeTime
 
 STEPS = 40
 TICK = 0.125  # a sum of these is exact
-
-
-class FakeTime:
-    """A clock that only its `sleep` moves on."""
-
-    def __init__(self):
-        self.now = 0.0
-
-    def sleep(self, seconds):
-        self.now += seconds
-
-    def perf_counter(self):
-        return self.now
 
 
 class Spec:

@@ -15,6 +15,7 @@ from adjgi.adjoint_gi.core.method import clock, registry
 from adjgi.adjoint_gi.core.method.solution import Solution, Step
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
+from adjgi.tests.counting import FakeTime
 
 solvers.load()
 
@@ -24,20 +25,9 @@ SAMPLES = 48  # several batches, so that there are steps in the middle of sampli
 SMALL = {"samples": SAMPLES, "rays": 16, "particles": 2000, "max_edge": 0.5, "light_samples": 2, "max_length": 4, "receivers": "objects"}
 
 
-class Time:
-    """A clock on which every look takes a tick."""
-
-    def __init__(self):
-        self.now = 0.0
-
-    def perf_counter(self):
-        self.now += TICK
-        return self.now
-
-
 def solve(solver, monkeypatch, sleep):
     """All steps of a small solve, and their solutions, whose consumer sleeps so many seconds before and after it looks at each."""
-    time = Time()
+    time = FakeTime(TICK)
     monkeypatch.setattr(clock, "time", SimpleNamespace(perf_counter=time.perf_counter))
     scene = scenes.cornell()
     elements = Elements(World(scene), 0.5)
@@ -100,7 +90,7 @@ def test_methods_have_no_other_clock():
 
 
 def test_the_clock_stands_still_while_a_step_is_held_and_after_the_last(monkeypatch):
-    time = Time()
+    time = FakeTime(TICK)
     monkeypatch.setattr(clock, "time", SimpleNamespace(perf_counter=time.perf_counter))
 
     def solution():
