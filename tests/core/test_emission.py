@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights.emission import Emission
-from adjgi.adjoint_gi.core.lights.outgoing import cone_directions
+from adjgi.adjoint_gi.core.lights.outgoing import cone_directions, reject
 from adjgi.adjoint_gi.core.sampling.maps import cosine_directions, disk
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, RayKind, Source, Term, Texture
 from adjgi.adjoint_gi.core.scene.world import World
@@ -98,6 +98,59 @@ def test_power_of_a_lamp_is_the_closed_form_and_the_draw_sums_to_it(name):
     assert np.ptp(p.weight.sum(axis=1)) <= 1e-6 * p.weight.sum(axis=1).mean()
     np.testing.assert_allclose(np.linalg.norm(p.direction, axis=1), 1, atol=1e-5)
     assert p.origin.dtype == p.direction.dtype == p.weight.dtype == np.float32
+
+
+@pytest.mark.parametrize("blend", [0.0, 0.6])
+@pytest.mark.parametrize("scale", [1e-5, 0.3, 30.0, 1e3, 1e5])
+def test_power_of_a_spot_scaled_alike_on_both_sides_is_that_of_a_round_cone(scale, blend):
+    """Its edge lies at tan = scale tan(h), and so does every step of its falloff, which is integrated here by parts."""
+    light = lamp("spot", spot_angle=1.2, spot_blend=blend, spot_scale=(scale, scale))
+    t = (np.arange(20_000) + 0.5) / 20_000 if blend else np.zeros(1)
+    edge = math.cos(0.6)
+    e = edge + (1 - edge) * blend * t
+    x = scale**2 * (1 / e**2 - 1)
+    solid = 2 * math.pi * (x / (1 + x + np.sqrt(1 + x)) * (6 * t * (1 - t) if blend else 1)).mean()
+    np.testing.assert_allclose(Emission(target(light)).flux[0], np.multiply(COLOR, solid), rtol=1e-5)
+
+
+@pytest.mark.parametrize("angle", [0.3, 2.0])
+def test_a_spot_stretched_without_end_fills_a_wedge(angle):
+    light = lamp("spot", spot_angle=angle, spot_scale=(1e6, 1.0))
+    np.testing.assert_allclose(Emission(target(light)).flux[0], np.multiply(COLOR, 2 * angle), rtol=1e-4)
+
+
+SCALES = [(1e3, 1e3), (1e5, 1.0), (1.0, 1e-5), (1e-3, 1e3)]
+
+
+@pytest.mark.parametrize("angle, blend", [(0.8, 0.15), (math.pi, 1.0), (math.pi, 0.0)])
+@pytest.mark.parametrize("scale", SCALES)
+def test_a_spot_of_any_scale_costs_few_random_numbers(scale, angle, blend):
+    world = target(lamp("spot", spot_angle=angle, spot_blend=blend, spot_scale=scale))
+    rng = CountingGenerator(9)
+    particles = Emission(world).draw(4000, rng)
+    assert np.isfinite(particles.direction).all() and particles.direction[:, 2].max() <= 1e-6
+    assert rng.numbers < 4000 * 20
+
+
+class CountingGenerator(np.random.Generator):
+    """Counts the numbers that `random` has given."""
+
+    def __init__(self, seed):
+        super().__init__(np.random.PCG64(seed))
+        self.numbers = 0
+
+    def random(self, size=None, *args, **kwargs):
+        self.numbers += 1 if size is None else int(np.prod(size))
+        return super().random(size, *args, **kwargs)
+
+
+def test_rejection_comes_to_an_end_where_nothing_passes_and_repeats_what_has_passed():
+    rng, rows = np.random.default_rng(0), np.zeros((8, 3))
+    reject(rows, lambda d: np.zeros(len(d)), lambda n: np.ones((n, 3)), rng)
+    assert (rows == 1).all()
+    rows[0] = 5
+    reject(rows, lambda d: (d[:, 0] == 5) * 1.0, lambda n: np.ones((n, 3)), rng)
+    assert (rows == 5).all()
 
 
 def expected_share(light, low, high):

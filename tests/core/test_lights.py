@@ -60,6 +60,8 @@ LIGHTS = {
     "spot": (lamp("spot", spot_angle=1.6), SpotLights),
     "blended spot": (lamp("spot", spot_angle=1.8, spot_blend=0.6), SpotLights),
     "elliptic spot": (lamp("spot", spot_angle=1.4, spot_blend=0.5, spot_scale=(0.6, 1.4)), SpotLights),
+    "thin spot": (lamp("spot", spot_angle=2.0, spot_blend=0.4, spot_scale=(0.2, 20.0)), SpotLights),
+    "wide spot": (lamp("spot", spot_angle=0.3, spot_blend=1.0, spot_scale=(300.0, 3.0)), SpotLights),
     "spot sphere": (lamp("spot", spot_angle=2.0, spot_blend=0.5, radius=0.2), SpotLights),
     "soft spot": (lamp("spot", spot_angle=2.0, spot_blend=0.5, radius=0.2, soft_falloff=True), SpotLights),
     "rectangle": (lamp("area", size_x=0.8, size_y=0.4), AreaLights),
@@ -73,7 +75,7 @@ LIGHTS = {
     "picture": (mesh(), MeshLights),
 }
 # Those that no ray meets.
-UNSIZED = ("point", "spot", "blended spot", "elliptic spot", "sun")
+UNSIZED = ("point", "spot", "blended spot", "elliptic spot", "thin spot", "wide spot", "sun")
 
 
 def scene(name):

@@ -134,10 +134,7 @@ class AreaLights(LampKind):
         # A cosine distribution within the spread, thinned out by the falloff.
         widest, tan_half = math.sin(min(light.spread, math.pi) / 2), math.tan(light.spread / 2)
 
-        def propose(s: np.ndarray, t: np.ndarray) -> np.ndarray:
-            return lambert_cone(widest, s, t)
-
-        local = propose(square[:, 2], square[:, 3])
+        local = lambert_cone(widest, square[:, 2], square[:, 3])
         if light.spread < math.pi and widest > 0:
-            reject(local, lambda d: falloff(d[:, 2], tan_half) / tan_half, propose, rng)
+            reject(local, lambda d: falloff(d[:, 2], tan_half) / tan_half, lambda n: lambert_cone(widest, *rng.random((2, n))), rng)
         return self._rays(i, origin, -local @ frame)

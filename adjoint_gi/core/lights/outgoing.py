@@ -8,13 +8,24 @@ import numpy as np
 
 from ..sampling.maps import cone_local, disk, frame_rows, polar_rows
 
+MOST_ROUNDS = 64
 
-def reject(local: np.ndarray, keep: Callable, propose: Callable, rng: np.random.Generator) -> None:
-    """Replace the directions in `local` (n, 3) until each has passed with probability `keep(direction)`, in place."""
-    which = np.arange(len(local))
-    while len(which):
-        which = which[rng.random(len(which)) >= keep(local[which])]
-        local[which] = propose(rng.random(len(which)), rng.random(len(which)))
+
+def reject(rows: np.ndarray, keep: Callable, propose: Callable, rng: np.random.Generator) -> None:
+    """Replace `rows` (n, ...) by `propose(how many)` until each has passed with probability `keep(rows)`, in place.
+
+    Callers see to it that about a third or more pass. What is left after `MOST_ROUNDS` repeats rows that have passed, which are
+    distributed alike.
+    """
+    which = np.arange(len(rows))
+    for _ in range(MOST_ROUNDS):
+        which = which[rng.random(len(which)) >= keep(rows[which])]
+        if not len(which):
+            return
+        rows[which] = propose(len(which))
+    passed = np.delete(np.arange(len(rows)), which)
+    if len(passed):
+        rows[which] = rows[rng.choice(passed, len(which))]
 
 
 def sphere_directions(s: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 from ..sampling.maps import dot
 from ..scene.arrays import Light
 from ..scene.world import World
+from .elliptic_cone import EllipticCone
 from .outgoing import cone_directions, reject
 from .point import PointLights
 
@@ -56,37 +57,16 @@ class SpotLights(PointLights):
         light = self.lights[i]
         if _is_round(light):
             return self.rough_solid(i)
-        # An elliptical cone is a round one, stretched: a rule of Gauss in each half of the falloff, equal steps around.
-        edge = math.cos(light.spot_angle / 2)
-        blend = edge + (1 - edge) * light.spot_blend
-        x, w = np.polynomial.legendre.leggauss(64)
-        parts = [(edge, blend), (blend, 1.0)]
-        c = np.concatenate([a + (b - a) * (x + 1) / 2 for a, b in parts])
-        w = np.concatenate([(b - a) * w / 2 for a, b in parts])
-        phi = 2 * math.pi * (np.arange(256) + 0.5) / 256
-        r = np.sqrt(1 - c * c)
-        local = np.stack([np.outer(r, np.cos(phi)), np.outer(r, np.sin(phi)), np.repeat(c[:, None], 256, 1)], -1)
-        density = _falloff_of(light, local[..., 2]) * _stretch(light, local)
-        return float(2 * math.pi * (w @ density.mean(axis=1)))
+        return _elliptic(light).solid()
 
     def directions(self, i: int, square: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """(n, 3) float64 directions with density proportional to the intensity: uniform in the cone, thinned out by the falloff."""
         light = self.lights[i]
+        if not _is_round(light):
+            return -_elliptic(light).directions(square[:, :2], rng) @ self._frame(i)
         edge = math.cos(light.spot_angle / 2)
-
-        def propose(s: np.ndarray, t: np.ndarray) -> np.ndarray:
-            return cone_directions(edge, s, t)
-
-        local = propose(square[:, 0], square[:, 1])
-        if _is_round(light):
-            reject(local, lambda d: _falloff_of(light, d[:, 2]), propose, rng)
-        else:
-            # The stretch is largest on the axis or at the rim, along the shorter axis of the ellipse.
-            rim = np.array([[0, 0, 1], [math.sqrt(1 - edge**2), 0, edge], [0, math.sqrt(1 - edge**2), edge]])
-            most = _stretch(light, rim).max()
-            reject(local, lambda d: _falloff_of(light, d[:, 2]) * _stretch(light, d) / most, propose, rng)
-            local = local * _scale_of(light)
-            local = local / np.linalg.norm(local, axis=1)[:, None]
+        local = cone_directions(edge, square[:, 0], square[:, 1])
+        reject(local, lambda d: _falloff_of(light, d[:, 2]), lambda n: cone_directions(edge, *rng.random((2, n))), rng)
         return -local @ self._frame(i)
 
 
@@ -100,11 +80,7 @@ def _is_round(light: Light) -> bool:
     return tuple(light.spot_scale) == (1.0, 1.0)
 
 
-def _scale_of(light: Light) -> np.ndarray:
-    return np.array([*np.maximum(light.spot_scale, SMALLEST_SCALE), 1.0])
-
-
-def _stretch(light: Light, local: np.ndarray) -> np.ndarray:
-    """Solid angle after stretching a direction `local` (n, 3) of the round cone, over that before."""
-    scale = _scale_of(light)
-    return scale.prod() / ((local * scale) ** 2).sum(axis=-1) ** 1.5
+def _elliptic(light: Light) -> EllipticCone:
+    x, y = np.maximum(light.spot_scale, SMALLEST_SCALE).tolist()
+    edge = math.cos(light.spot_angle / 2)
+    return EllipticCone((x, y), edge, edge + (1 - edge) * light.spot_blend)
