@@ -8,7 +8,12 @@ import itertools
 import bpy
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.bridge.baking.bake import preflight
+from adjgi.adjoint_gi.bridge.extract.camera import NO_PICTURE
 from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
+from adjgi.tests import baking
+from adjgi.tests.cycles_patch import add_light
+from adjgi.tests.hostile import SQUARE, mesh
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
@@ -80,11 +85,38 @@ def test_clipping_and_axes():
     np.testing.assert_allclose(np.cross(ours.right, ours.up), -np.array(ours.forward), atol=1e-6)
 
 
-def test_panorama_is_refused():
-    camera = add_camera(type="PANO")
+def panorama():
+    return add_camera(type="PANO")
+
+
+def empty_as_camera():
+    bpy.context.scene.camera = bpy.data.objects.new("empty", None)
+    bpy.context.scene.collection.objects.link(bpy.context.scene.camera)
+    return bpy.context.scene.camera
+
+
+def flat():
+    camera = add_camera()
+    camera.scale = (1, 0, 1)
+    return camera
+
+
+def no_number():
+    return add_camera(shift_x=float("nan"))
+
+
+@pytest.mark.parametrize("build", [panorama, empty_as_camera, flat, no_number])
+def test_a_camera_that_cannot_be_used_refuses_a_picture_and_nothing_else(build, tmp_path):
+    camera = build()
+    floor = mesh(*SQUARE, name="floor")
+    add_light("SUN", energy=2.0, angle=0.0)
     arrays = extract(bpy.context.evaluated_depsgraph_get())
     assert arrays.camera is None
-    assert any(n.object == camera.name and n.severity == "error" for n in arrays.warnings)
+    assert [n.severity for n in arrays.warnings if camera.name in n.names and NO_PICTURE in n.reason] == ["info"]
+    for target, objects in (("texture", (floor.name,)), ("render", ())):
+        request = baking.request(target=target, objects=objects, resolution=16, values={"samples": 1}, output=str(tmp_path))
+        errors = [n.object for n in preflight(bpy.context, request) if n.severity == "error"]
+        assert errors == ([camera.name] if target == "render" else [])
 
 
 def test_no_camera_is_only_said():

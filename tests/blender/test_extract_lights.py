@@ -177,6 +177,10 @@ def test_instanced_lights_have_their_own_place_and_name():
         ("AREA", {"energy": 1.0, "size": 0.0}, "size zero"),
         ("POINT", {"energy": -1.0}, "negative"),
         ("POINT", {"energy": 1e38}, "not a number or too large"),
+        ("SPOT", {"energy": 1.0, "spot_size": float("nan")}, "a size that is not a number"),
+        ("SPOT", {"energy": 1.0, "spot_blend": float("nan")}, "a size that is not a number"),
+        ("AREA", {"energy": 1.0, "size": float("nan")}, "a size that is not a number"),
+        ("SUN", {"energy": 1.0, "angle": float("nan")}, "a size that is not a number"),
     ],
 )
 def test_lights_that_give_none_are_named(kind, values, word):

@@ -19,7 +19,7 @@ from ...core.receivers.texels import memory as lightmap_memory
 from ...core.scene.arrays import SceneArrays
 from ...core.scene.world import World
 from ...core.walks import openness
-from ..extract.camera import render_size
+from ..extract.camera import NO_PICTURE, render_size
 from ..extract.depsgraph import extract
 from ..host import files
 from ..host.notices import Notices
@@ -122,7 +122,8 @@ def inspect(world: World, request: BakeRequest) -> list[Notice]:
     notices = list(arrays.warnings)
     receivers = receiving(arrays, request)
     if request.target == "render":
-        if arrays.camera is None:
+        notices = [replace(n, severity="error") if NO_PICTURE in n.reason else n for n in notices]
+        if arrays.camera is None and not any(n.severity == "error" for n in notices):
             notices.append(Notice("Camera", "there is no camera that can be used", "Make it perspective or orthographic", "error"))
     else:
         notices = refusals(notices, [n for n in request.objects if n not in {arrays.objects[i].source for i in receivers}])

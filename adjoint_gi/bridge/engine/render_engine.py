@@ -21,6 +21,7 @@ from ...core.method.registry import Solver
 from ...core.receivers.base import CameraReceivers
 from ...core.scene.arrays import Camera, SceneArrays
 from ...core.scene.world import World
+from ..extract.camera import NO_PICTURE
 from ..extract.depsgraph import extract
 from ..host import preferences
 from ..props.properties import chosen, settings_of
@@ -106,6 +107,9 @@ def prepare(depsgraph: bpy.types.Depsgraph, width: int, height: int) -> Prepared
         if notice.severity == "error":
             raise SceneError(notice.object, notice.reason, notice.remedy)
     if arrays.camera is None:
+        for notice in arrays.warnings:
+            if NO_PICTURE in notice.reason:
+                raise SceneError(notice.object, notice.reason, notice.remedy)
         raise SceneError(scene.name, "has no camera that can be used", "Add a perspective or orthographic camera and make it active")
     camera = cropped(arrays.camera, border(scene.render, width, height))
     return PreparedRender(

@@ -8,6 +8,8 @@ import numpy as np
 from ...core.scene.arrays import Camera, Rgb
 from ..host.notices import Notices
 
+NO_PICTURE = "so there is no picture through it"  # words of notices that refuse a picture, and nothing else
+
 
 def read_camera(
     scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, resolution: tuple[int, int] | None, notices: Notices
@@ -22,17 +24,21 @@ def read_camera(
     obj = scene.camera.evaluated_get(depsgraph)
     data = obj.data
     if obj.type != "CAMERA":
-        notices.add(obj.name, "is the active camera but not a camera", "Choose a camera object", "error")
+        notices.add(obj.name, f"is the active camera but not a camera, {NO_PICTURE}", "Choose a camera object", "info")
         return None
     if data.type not in ("PERSP", "ORTHO"):
-        notices.add(obj.name, f"is a {data.type.lower()} camera, which cannot be computed", "Make it perspective or orthographic", "error")
+        notices.add(obj.name, f"is a {data.type.lower()} camera, {NO_PICTURE}", "Make it perspective or orthographic", "info")
         return None
     matrix = np.array(obj.matrix_world, np.float64)
     axes = matrix[:3, :3] / np.maximum(np.linalg.norm(matrix[:3, :3], axis=0), 1e-300)
     if not np.isfinite(matrix).all() or abs(np.linalg.det(axes)) < 1e-6:
-        notices.add(obj.name, "has a scale of zero or a matrix that is not a number", "Clear its scale", "error")
+        notices.add(obj.name, f"has a scale of zero or a matrix that is not a number, {NO_PICTURE}", "Clear its scale", "info")
         return None
     width, height = resolution or render_size(scene)
+    frame = _frame(data, scene.render, width, height)
+    if not (np.isfinite((*frame, data.clip_start, data.clip_end)).all() and frame[0] < frame[1] and frame[2] < frame[3]):
+        notices.add(obj.name, f"has a lens, sensor or clipping that is not a number, {NO_PICTURE}", "Type sensible numbers", "info")
+        return None
     radius, focus = _lens(obj, depsgraph, notices)
     return Camera(
         kind="perspective" if data.type == "PERSP" else "orthographic",
@@ -40,7 +46,7 @@ def read_camera(
         right=_rgb(axes[:, 0]),
         up=_rgb(axes[:, 1]),
         forward=_rgb(-axes[:, 2]),
-        frame=_frame(data, scene.render, width, height),
+        frame=frame,
         width=width,
         height=height,
         clip_start=float(data.clip_start),

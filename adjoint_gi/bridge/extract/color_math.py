@@ -11,6 +11,7 @@ from ...core.scene.arrays import Color, Rgb, Source, Term
 from .images import Images
 
 LARGEST_POLYNOMIAL = 64  # terms
+LARGEST = 1e30  # of a coefficient: its square times a texture is still a float64, itself a float32
 
 
 class NotPolynomial(ValueError):
@@ -23,6 +24,18 @@ def simplified(color: Color) -> Color:
     if len(out.terms) > LARGEST_POLYNOMIAL:
         raise NotPolynomial("it has too many terms")
     return out
+
+
+def finite(color: Color) -> Color:
+    """`color` itself where it can be computed with; else NaN becomes 0, and what is larger than `LARGEST` becomes that."""
+    if all(abs(c) <= LARGEST for term in color.terms for c in term.constant):
+        return color
+    return Color(
+        tuple(
+            Term(rgb(np.clip(np.nan_to_num(t.constant, posinf=LARGEST, neginf=-LARGEST), -LARGEST, LARGEST)), t.sources)
+            for t in color.terms
+        )
+    )
 
 
 def combined(color: Color) -> Color:
@@ -79,7 +92,8 @@ def mapped(color: Color, function: Callable[[np.ndarray], np.ndarray], key: tupl
     Raises `NotPolynomial` otherwise.
     """
     if color.is_constant:
-        return Color.of(*function(np.array([color.constant], np.float32))[0].astype(float))
+        with np.errstate(all="ignore"):  # the caller looks at what is not finite
+            return Color.of(*function(np.array([color.constant], np.float32))[0].astype(float))
     sources = {s for t in color.terms for s in t.sources}
     places = {(s.kind, s.texture, s.name, s.transform) for s in sources}
     if len(places) != 1 or next(iter(sources)).kind != "image":
@@ -94,7 +108,8 @@ def mapped(color: Color, function: Callable[[np.ndarray], np.ndarray], key: tupl
             product = product * (flat[:, 3:4] if s.alpha else flat[:, :3])
         value += product
     pixels = texture.copy()
-    pixels[:, :, :3] = function(value).reshape(texture.shape[0], texture.shape[1], 3)
+    with np.errstate(all="ignore"):
+        pixels[:, :, :3] = np.nan_to_num(function(value)).reshape(texture.shape[0], texture.shape[1], 3)
     index = images.derive(source.texture, (*key, repr(color.terms)), pixels)
     return Color((Term((1.0, 1.0, 1.0), (_with(source, index),)),))
 

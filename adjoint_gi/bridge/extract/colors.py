@@ -15,16 +15,12 @@ import numpy as np
 from ...core.scene.arrays import Color, Source, Term
 from ..host.notices import Notices
 from . import color_nodes
-from .color_math import NotPolynomial, luminance, mapped, mean, simplified
+from .color_math import NotPolynomial, finite, luminance, mapped, mean, simplified
 from .images import MEAN_OF_NOTHING, Images
-from .nodes import NodesTooDeep, Place, follow, inputs
+from .nodes import UNREADABLE, NodesTooDeep, Place, Unknown, follow, inputs
 from .uv import NotUv, read_coordinates
 
 DEPTH = 100  # nodes between a shader and the end of a chain
-
-
-class Unknown(ValueError):
-    """A node that cannot be evaluated; the text says which."""
 
 
 class Colors:
@@ -130,18 +126,27 @@ class Colors:
     def _once(self, place: Place) -> Color:
         """The simplified polynomial of a node's output, from memory when it was read before."""
         if place not in self._known:
-            self._known[place] = simplified(self._output(place))
+            read = simplified(self._output(place))
+            self._known[place] = finite(read)
+            if self._known[place] is not read:
+                self.skip(
+                    place, "computes what is not a number or too large", "it counts as 0 or as the largest number", "Check its inputs"
+                )
         return self._known[place]
 
     def _output(self, place: Place) -> Color:
         """The polynomial of a node's output; raises `Unknown` or `NotPolynomial`."""
         node = place.socket.node
-        reader = _READERS.get(node.bl_idname)
-        if reader is not None:
-            return reader(self, node, place)
-        function = color_nodes.FUNCTIONS.get(node.bl_idname)
-        if function is not None:
-            return self._function(node, place, function)
+        reader, function = _READERS.get(node.bl_idname), color_nodes.FUNCTIONS.get(node.bl_idname)
+        try:
+            if reader is not None:
+                return reader(self, node, place)
+            if function is not None:
+                return self._function(node, place, function)
+        except (NodesTooDeep, NotPolynomial, Unknown):
+            raise
+        except UNREADABLE as e:
+            raise Unknown(f'node "{node.name}" ({node.bl_label}) cannot be read ({type(e).__name__}: {e})') from e
         raise Unknown(f'node "{node.name}" ({node.bl_label}) is not understood')
 
     def _function(self, node: bpy.types.Node, place: Place, function: Callable) -> Color:

@@ -20,6 +20,7 @@ from .instances import LightInstance
 from .shaders import light_emission
 
 LARGEST_POWER = 1e15
+SIZES = ("shadow_soft_size", "size", "size_y", "spread", "angle", "spot_size", "spot_blend")  # of lamps of any kind
 
 
 def read_lights(instances: list[LightInstance], notices: Notices) -> tuple[Light, ...]:
@@ -31,6 +32,11 @@ def read_lights(instances: list[LightInstance], notices: Notices) -> tuple[Light
 def _read(item: LightInstance, notices: Notices) -> Light | None:
     """One lamp, or None when it gives no light."""
     data, name = item.light, item.name
+    bad = [p for p in SIZES if not np.isfinite(getattr(data, p, 0.0))]
+    if bad:
+        labels = ", ".join(data.bl_rna.properties[p].name for p in bad)
+        notices.add(name, f"is a light with a size that is not a number ({labels}) and is left out", "Type a number")
+        return None
     power = _power(data, name, notices)
     if power is None:
         return None
@@ -49,7 +55,8 @@ def _read(item: LightInstance, notices: Notices) -> Light | None:
 def _power(data: bpy.types.Light, name: str, notices: Notices) -> np.ndarray | None:
     """(3,) float64: the power per channel in W (W m-2 for a sun), before size and angle; None when there is none to speak of."""
     emission = light_emission(data, name, notices)
-    energy = float(data.energy) * 2.0 ** versions.light_exposure(data)
+    with np.errstate(over="ignore"):
+        energy = float(data.energy) * np.exp2(versions.light_exposure(data))
     power = energy * np.array(data.color, np.float64) * np.array(versions.light_temperature_color(data)) * np.array(emission)
     if not np.isfinite(power).all() or np.abs(power).max() > LARGEST_POWER:
         notices.add(

@@ -1,4 +1,8 @@
-"""Following links in node trees: through reroutes, muted nodes and node groups, with a limit on depth."""
+"""Following links in node trees: through reroutes, muted nodes and node groups, with a limit on depth.
+
+Whatever a tree holds, reading it must come to an end and name what cannot be read: nodes of other versions, sockets that a setting
+hides, links that run in a circle.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +12,29 @@ import bpy
 
 GROUP_DEPTH = 64  # nested groups
 STEPS = 4096  # links followed from one socket
+# What reading a node of an unexpected kind may raise: it is named, and does not end the bake.
+UNREADABLE = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
 
 Groups = tuple[bpy.types.Node, ...]
 
 
+class Unknown(ValueError):
+    """A node or socket that cannot be evaluated; the text says which."""
+
+
 class NodesTooDeep(ValueError):
-    """Node groups that contain themselves or are nested too deep."""
+    """Node groups that contain themselves or are nested too deep, and links that run in a circle."""
+
+
+class Inputs(dict):
+    """Inputs of one node by name. One that the node lacks, or that its settings hide, raises `Unknown`."""
+
+    def __init__(self, node: bpy.types.Node) -> None:
+        super().__init__()
+        self._node = node.name
+
+    def __missing__(self, name: str) -> Place:
+        raise Unknown(f'node "{self._node}" has no socket "{name}" by its settings')
 
 
 @dataclass(frozen=True)
@@ -35,11 +56,15 @@ def follow(place: Place) -> Place:
     Raises `NodesTooDeep`.
     """
     socket, groups = place.socket, place.groups
+    seen: set[tuple[bpy.types.NodeSocket, int]] = set()  # a reroute linked to itself is a circle that Blender does not find
     for _ in range(STEPS):
         link = _link(socket)
         if link is None:
             return Place(socket, groups)
         node, output = link.from_node, link.from_socket
+        if (output, len(groups)) in seen:
+            raise NodesTooDeep("node links run in a circle")
+        seen.add((output, len(groups)))
         if node.mute:
             passed = next((li.from_socket for li in node.internal_links if li.to_socket == output), None)
             if passed is None:
@@ -68,9 +93,9 @@ def follow(place: Place) -> Place:
     raise NodesTooDeep("node links do not come to an end")
 
 
-def inputs(place: Place) -> dict[str, Place]:
+def inputs(place: Place) -> Inputs:
     """Enabled inputs by name of the node that a place belongs to; of equal names the first."""
-    out: dict[str, Place] = {}
+    out = Inputs(place.socket.node)
     for socket in place.socket.node.inputs:
         if socket.enabled:
             out.setdefault(socket.name, Place(socket, place.groups))
@@ -78,8 +103,11 @@ def inputs(place: Place) -> dict[str, Place]:
 
 
 def is_linked(place: Place) -> bool:
-    """Whether something else than a default value feeds this input."""
-    return follow(place).socket.is_output
+    """Whether something else than a default value feeds this input; links that come to no end feed nothing, as in Cycles."""
+    try:
+        return follow(place).socket.is_output
+    except NodesTooDeep:
+        return False
 
 
 def _link(socket: bpy.types.NodeSocket) -> bpy.types.NodeLink | None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import bpy
+import numpy as np
 
 from ...core.scene.arrays import Color, Lobe, Rgb
 from ..host.notices import Notices
@@ -13,7 +14,7 @@ from ..host.versions import uses_nodes
 from .color_math import LARGEST_POLYNOMIAL, combined
 from .colors import Colors
 from .images import Images
-from .nodes import NodesTooDeep, Place, follow, inputs, is_linked
+from .nodes import UNREADABLE, NodesTooDeep, Place, follow, inputs, is_linked
 from .principled import diffuse_lobe, principled_lobes
 
 DEPTH = 64  # shaders mixed into each other
@@ -47,11 +48,21 @@ class Shaders:
         if found not in self._known:
             self._depth += 1
             try:
-                reader = _SHADERS.get(found.socket.node.bl_idname, Shaders._unknown)
-                self._known[found] = reader(self, found.socket.node, found)
+                self._known[found] = self._shader(found)
             finally:
                 self._depth -= 1
         return [replace(x, color=self._times(x.color, weight)) for x in self._known[found]]
+
+    def _shader(self, place: Place) -> list[Lobe]:
+        """Lobes of the node that `place` is an output of; one that cannot be read is named and counts as Cycles' default."""
+        reader = _SHADERS.get(place.socket.node.bl_idname, Shaders._unknown)
+        try:
+            return reader(self, place.socket.node, place)
+        except UNREADABLE as e:
+            self.colors.skip(
+                place, f"cannot be read ({type(e).__name__}: {e})", f"a grey diffuse surface of {GREY} is used", "Use Principled"
+            )
+            return [Lobe("diffuse", Color.of(GREY))]
 
     def _tell(self, reason: str, remedy: str) -> None:
         self.colors.notices.add(self.colors.owner, reason, remedy)
@@ -109,9 +120,22 @@ class Shaders:
         self._normal(place, sockets)
         if node.distribution in ("BECKMANN", "ASHIKHMIN_SHIRLEY") and roughness > 0.0:
             self.colors.skip(place, f"has the distribution {node.distribution}", "it is computed as GGX", "Choose GGX")
-        color = self.colors.color(sockets["Color"] if "Color" in sockets else sockets["Base Color"])
+        if getattr(node, "fresnel_type", "") == "PHYSICAL_CONDUCTOR":
+            color = self._conductor(place, sockets)
+        else:
+            color = self.colors.color(sockets["Color"] if "Color" in sockets else sockets["Base Color"])
         many = node.distribution == "MULTI_GGX"
         return [Lobe(kind, color, min(max(roughness, 0.0), 1.0), max(ior, 1e-3), many)]
+
+    def _conductor(self, place: Place, sockets: dict[str, Place]) -> Color:
+        """Reflectance at normal incidence of a Metallic BSDF given by n + ik for each channel: ((n - 1)^2 + k^2) / ((n + 1)^2 + k^2)."""
+        index, extinction = self.colors.color(sockets["IOR"]), self.colors.color(sockets["Extinction"])
+        if not (index.is_constant and extinction.is_constant):
+            self.colors.skip(place, "has an index of refraction that varies", f"the grey {GREY} is used", "Use one index for each channel")
+            return Color.of(GREY)
+        n, k = np.maximum(index.constant, 0.0), np.maximum(extinction.constant, 0.0)
+        below = (n + 1.0) ** 2 + k**2
+        return Color.of(*(1.0 - 4.0 * n / below).tolist())
 
     def _transparent(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
         return [Lobe("transparent", self.colors.color(inputs(place)["Color"]))]
