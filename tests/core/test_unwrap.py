@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import TargetError
+from adjgi.adjoint_gi.core.base.steps import finish
 from adjgi.adjoint_gi.core.receivers import unwrap as module
 from adjgi.adjoint_gi.core.receivers.charts import Charts, Mesh, area_vectors, carry, islands, signed_areas, smooth_regions
 from adjgi.adjoint_gi.core.receivers.conformal import MAX_REGION_TRIANGLES, cut_off, make_charts
@@ -123,6 +124,26 @@ def test_several_meshes_share_the_square_at_one_scale():
         assert np.allclose(density, u.texels_per_metre, rtol=0.06)  # whole texels
 
 
+def test_density_scales_the_charts_of_a_mesh_against_the_others():
+    meshes = [box(), box(), mesh(*icosphere(2))]
+    wanted = np.array([1.0, 0.25, 0.5])
+    u = unwrap(meshes, 256, (4,), wanted)
+    assert not check(meshes, np.concatenate(u.uvs), 256, 4, density=wanted)
+    for m, uv, density in zip(meshes, u.uvs, wanted, strict=True):
+        share = np.abs(signed_areas(uv.astype(float))).sum() / np.linalg.norm(area_vectors(m.corners()), axis=1).sum()
+        assert share**0.5 * 256 == pytest.approx(density * u.texels_per_metre, rel=0.06)  # whole texels
+    assert u.texels_per_metre > 1.2 * unwrap(meshes, 256, (4,)).texels_per_metre
+
+
+def test_unwrapping_goes_in_steps_whose_shares_rise():
+    """The caller can stop between them; a mesh of many regions is not one call into xatlas."""
+    many = [mesh(*icosphere(3)), box(), mesh(*sheet(40, lambda x, y: np.where(np.floor(8 * x) % 2, 0.0, 1.0)))]
+    steps = module.unwrapping(many, 128, (2, 1))
+    shares = list(steps)
+    assert len(shares) >= 8 and np.all(np.diff(shares) >= 0) and shares[0] >= 0 and shares[-1] <= 1
+    assert np.array_equal(np.concatenate(finish(module.unwrapping(many, 128, (2, 1))).uvs), np.concatenate(unwrap(many, 128, (2, 1)).uvs))
+
+
 def test_faces_stay_whole_and_creases_part_charts():
     rough = mesh(*sheet(24, lambda x, y: 0.15 * np.sin(11 * x * y)))
     charts = make_charts(rough)
@@ -177,11 +198,17 @@ def test_faults_are_found(name):
     assert bool(faults) == bool(says) and says in str(faults)
 
 
+def given(charts):
+    """Steps that make `charts`."""
+    yield 0.5
+    return charts
+
+
 def test_bad_charts_are_mended_and_hopeless_ones_projected(monkeypatch):
     """Charts that lie over themselves are cut; where that does not help, the meshes are projected and the reason is said."""
     m = mesh(*sheet(6))
     folded = Charts(np.abs(m.corners()[..., :2] - 0.5), np.zeros(len(m.triangles), np.int64))
-    monkeypatch.setattr(module, "make_charts", lambda mesh: folded)
+    monkeypatch.setattr(module, "making_charts", lambda mesh: given(folded))
     mended = unwrap([m], 128, (2,))
     assert not mended.projected and mended.charts == 36 and not check([m], mended.uvs[0], 128, 2)
     monkeypatch.setattr(module, "cut_off", lambda mesh, charts, triangles: charts)

@@ -47,11 +47,12 @@ class Charts:
         return np.minimum.reduceat(self.xy.min(axis=1)[order], start), np.maximum.reduceat(self.xy.max(axis=1)[order], start)
 
 
-def join(parts: Sequence[Charts]) -> Charts:
-    """The charts of several meshes behind one another."""
+def join(parts: Sequence[Charts], scale: np.ndarray) -> Charts:
+    """The charts of several meshes behind one another, those of each multiplied by its `scale` (n,)."""
     first = np.cumsum([0, *(part.count for part in parts)])
     chart = [part.chart + start for part, start in zip(parts, first, strict=False)]
-    return Charts(np.concatenate([part.xy for part in parts]), np.concatenate(chart))
+    xy = [part.xy * factor for part, factor in zip(parts, scale, strict=True)]
+    return Charts(np.concatenate(xy), np.concatenate(chart))
 
 
 def islands(mesh: Mesh, xy: np.ndarray, chart: np.ndarray | None = None) -> np.ndarray:

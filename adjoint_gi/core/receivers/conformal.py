@@ -12,13 +12,16 @@ from collections.abc import Callable
 import numpy as np
 import xatlas
 
+from ..base.steps import Steps, finish
 from .charts import Charts, Mesh, area_vectors, carry, islands, numbered, signed_areas, smooth_regions
 from .projection import pieces, project, tightest
+from .rasterize import blocks
 
 NONE = np.uint32(0xFFFFFFFF)  # the chart of what xatlas left out
-MAX_REGION_TRIANGLES = 5000  # triangles of a region that xatlas is given: its time grows with the square, 0.6 s here
+MAX_REGION_TRIANGLES = 5000  # triangles of a region that xatlas is given: its time grows with the square, 0.4 s here
+BATCH_TRIANGLES = 2000  # triangles that xatlas is given at once where they are several regions: it cannot be stopped
 EXTENT = 1e4  # largest extent of what xatlas sees: it ignores triangles of less than 1.2e-7 square units, which float32 cannot hold then
-COARSE = 512  # texels a side of the packing xatlas does along with the charts, which nothing comes of
+COARSE = 256  # texels a side of the packing xatlas does along with the charts, which nothing comes of
 WIDEST = 4096  # texels of a chart there: one that a bad map has drawn out must not become an image of that width
 STRETCH = 3.0  # how much an edge may be longer or shorter in a chart than in space
 LEAST = 1e-3  # share of the area that a triangle must keep in its chart
@@ -26,7 +29,12 @@ LEAST = 1e-3  # share of the area that a triangle must keep in its chart
 
 def make_charts(mesh: Mesh) -> Charts:
     """The charts of `mesh`, each with the area in UV space that its surface has."""
-    xy, chart = _grow(mesh)
+    return finish(making_charts(mesh))
+
+
+def making_charts(mesh: Mesh) -> Steps[Charts]:
+    """The same in steps."""
+    xy, chart = yield from _grow(mesh)
     xy, chart = _whole_polygons(mesh, xy, chart)
     missing = ~np.isfinite(xy).all(axis=(1, 2))
     charts = _measured(mesh, Charts(np.where(missing[:, None, None], 0.0, xy), numbered(np.where(missing, -1, chart))))
@@ -67,7 +75,7 @@ def _finer(mesh: Mesh, chart: np.ndarray) -> np.ndarray:
     return np.where(several[chart], both, both.max() + 1 + polygon)
 
 
-def _grow(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+def _grow(mesh: Mesh) -> Steps[tuple[np.ndarray, np.ndarray]]:
     """Flat corners (nt, 3, 2) in units of xatlas and its charts (nt,); NaN for triangles it left out or was not given."""
     region = smooth_regions(mesh)
     order = np.argsort(region, kind="stable")
@@ -75,14 +83,22 @@ def _grow(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     low, high = mesh.corners().min(axis=(0, 1)), mesh.corners().max(axis=(0, 1))
     scale = EXTENT / max(float((high - low).max()), 1e-300)
     place = ((mesh.vertices - 0.5 * (low + high)) * scale).astype(np.float32)
-    area = float(np.linalg.norm(area_vectors(place[mesh.triangles].astype(np.float64)), axis=1).sum())
 
     xy, chart = np.full((len(region), 3, 2), np.nan), np.full(len(region), -1, np.int64)
-    if not parts:
-        return xy, chart
+    count = 0
+    for some in blocks(np.array([len(part) for part in parts], np.int64), BATCH_TRIANGLES):
+        _grow_some(place, mesh.triangles, parts[some], xy, chart, count)
+        count = max(count, int(chart.max()) + 1)
+        yield some.stop / len(parts)
+    return xy, chart
+
+
+def _grow_some(place: np.ndarray, triangles: np.ndarray, parts: list[np.ndarray], xy: np.ndarray, chart: np.ndarray, first: int) -> None:
+    """Put corners and charts, numbered from `first` on, of the triangles of some regions `parts` into `xy` and `chart`, by one atlas."""
+    area = float(sum(np.linalg.norm(area_vectors(place[triangles[part]].astype(np.float64)), axis=1).sum() for part in parts))
     atlas = xatlas.Atlas()
     for part in parts:
-        used, index = np.unique(mesh.triangles[part], return_inverse=True)
+        used, index = np.unique(triangles[part], return_inverse=True)
         atlas.add_mesh(place[used], index.reshape(-1, 3).astype(np.uint32))
     options = xatlas.PackOptions()
     options.bilinear = False
@@ -94,8 +110,7 @@ def _grow(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
         _, label = atlas.get_mesh_vertex_assignment(number)
         known = label[index[:, 0]] != NONE
         xy[part[known]] = uv[index[known]].astype(np.float64) * (atlas.width, atlas.height)
-        chart[part[known]] = label[index[known, 0]]
-    return xy, chart
+        chart[part[known]] = first + label[index[known, 0]].astype(np.int64)
 
 
 def _whole_polygons(mesh: Mesh, xy: np.ndarray, chart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

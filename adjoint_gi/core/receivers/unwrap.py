@@ -7,19 +7,21 @@ the arrays alone: the same meshes give the same UVs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..base.errors import TargetError
+from ..base.steps import Steps, finish, within
 from .charts import Charts, Mesh, islands, join
-from .conformal import cut_off, make_charts
+from .conformal import cut_off, making_charts
 from .pack import pack_again, pack_on_shelves, pack_tightly
 from .projection import pieces, project
 from .uv_check import Faults, check
 
 TRIES = 4  # packings that are checked before the other way of unwrapping is taken
+CHARTS = 0.6  # share of the work that making charts is thought to be
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +29,7 @@ class Unwrapped:
     """UV layers of several meshes that share one square.
 
     uvs              (nt, 3, 2) float32 for each mesh
-    texels_per_metre scale of all charts, in an image of the resolution that was asked for
+    texels_per_metre scale of all charts of density 1, in an image of the resolution that was asked for
     padding          texels that are free between charts
     charts           number of charts
     covered          share of the texels that are covered
@@ -42,58 +44,96 @@ class Unwrapped:
     projected: str
 
 
-def unwrap(meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int]) -> Unwrapped:
+def unwrap(meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], density: np.ndarray | None = None) -> Unwrapped:
     """Unwrap `meshes` into one square image of `resolution` texels, with the first of `paddings` (texels between charts) that fits.
 
+    density (n,) float64: how large the charts of each mesh are beside those of the others, along an edge; all alike where it is None.
     Raises TargetError when there are more charts than fit.
     """
+    return finish(unwrapping(meshes, resolution, paddings, density))
+
+
+def unwrapping(meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], density: np.ndarray | None = None) -> Steps[Unwrapped]:
+    """The same in steps, each a call into xatlas or about a tenth of a second; it may run in any thread.
+
+    xatlas holds Python's lock: 0.1 s for 2,000 triangles, 0.4 s for the largest region that it is given.
+    """
+    density = np.ones(len(meshes)) if density is None else np.asarray(density, np.float64)
     try:
-        return _first_that_fits(meshes, [make_charts(mesh) for mesh in meshes], resolution, paddings, "")
+        charts = yield from within(_all_charts(meshes, making_charts), 0.0, CHARTS)
+        return (yield from within(_first_that_fits(meshes, charts, resolution, paddings, density, ""), CHARTS, 1.0))
     except _Unfit as failure:
         reason = str(failure)
     except TargetError as error:
         reason = error.notice.reason
-    return by_projection(meshes, resolution, paddings, reason)
+    return (yield from within(projecting(meshes, resolution, paddings, reason, density), CHARTS, 1.0))
 
 
 def by_projection(meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], reason: str) -> Unwrapped:
     """The same by our own projections on shelves, taken for a `reason`, which is not empty."""
-    charts = [project(mesh, pieces(mesh)) for mesh in meshes]
+    return finish(projecting(meshes, resolution, paddings, reason, np.ones(len(meshes))))
+
+
+def projecting(meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], reason: str, density: np.ndarray) -> Steps[Unwrapped]:
+    """`by_projection` in steps, with the `density` of `unwrap`."""
+    charts = yield from within(_all_charts(meshes, _projected), 0.0, CHARTS)
+    return (yield from within(_first_that_fits(meshes, charts, resolution, paddings, density, reason), CHARTS, 1.0))
+
+
+def _all_charts(meshes: Sequence[Mesh], make: Callable[[Mesh], Steps[Charts]]) -> Steps[list[Charts]]:
+    """The charts of every mesh, by `make`."""
+    done = np.cumsum([0, *(len(mesh.triangles) for mesh in meshes)]) / max(sum(len(mesh.triangles) for mesh in meshes), 1)
+    charts = []
+    for k, mesh in enumerate(meshes):
+        charts.append((yield from within(make(mesh), done[k], done[k + 1])))
+        yield done[k + 1]
+    return charts
+
+
+def _projected(mesh: Mesh) -> Steps[Charts]:
+    """The charts of `mesh` by projection."""
+    flat = project(mesh, pieces(mesh))
+    yield 0.5
     # Apart what does not hang together, so that it is packed with space between.
-    charts = [Charts(part.xy, islands(mesh, part.xy, part.chart)) for mesh, part in zip(meshes, charts, strict=True)]
-    return _first_that_fits(meshes, charts, resolution, paddings, reason)
+    return Charts(flat.xy, islands(mesh, flat.xy, flat.chart))
 
 
 class _Unfit(Exception):
     """Charts that did not pass the check after TRIES packings; says what is wrong with them."""
 
 
-def _first_that_fits(meshes: Sequence[Mesh], charts: list[Charts], resolution: int, paddings: Sequence[int], projected: str) -> Unwrapped:
+def _first_that_fits(
+    meshes: Sequence[Mesh], charts: list[Charts], resolution: int, paddings: Sequence[int], density: np.ndarray, projected: str
+) -> Steps[Unwrapped]:
     """The charts packed with the first padding that fits. Raises TargetError or, for charts of xatlas, _Unfit."""
     for padding in paddings[:-1]:
         try:
-            return _checked(meshes, charts, resolution, padding, projected)
+            return (yield from _checked(meshes, charts, resolution, padding, density, projected))
         except TargetError:
             continue
-    return _checked(meshes, charts, resolution, paddings[-1], projected)
+    return (yield from _checked(meshes, charts, resolution, paddings[-1], density, projected))
 
 
-def _checked(meshes: Sequence[Mesh], charts: list[Charts], resolution: int, padding: int, projected: str) -> Unwrapped:
+def _checked(
+    meshes: Sequence[Mesh], charts: list[Charts], resolution: int, padding: int, density: np.ndarray, projected: str
+) -> Steps[Unwrapped]:
     """Pack, check and mend, a few times. Raises TargetError or, for charts of xatlas, _Unfit."""
     gap, scale = padding, 0.0
-    for _ in range(TRIES):
-        flat = join(charts)
+    for number in range(TRIES):
+        flat = join(charts, density)
         if projected:
             uv, scale = pack_on_shelves(flat, resolution, gap)
         elif scale:
             uv, scale = pack_again(flat, resolution, gap, scale)
         else:
             uv, scale = pack_tightly(flat, resolution, gap)
-        faults = check(meshes, uv, resolution, padding, flat.chart)
+        yield (number + 0.5) / TRIES
+        faults = check(meshes, uv, resolution, padding, flat.chart, density)
         if not faults:
             break
         charts = _mended(meshes, charts, faults)
         gap += 1 if faults.close else 0
+        yield (number + 1.0) / TRIES
     else:
         if not projected:
             raise _Unfit(f"the charts of xatlas have {faults}")

@@ -50,18 +50,26 @@ class Faults:
         return ", ".join(f"{count} {what}" for what, count in found.items() if count)
 
 
-def check(meshes: Sequence[Mesh], uv: np.ndarray, resolution: int, padding: int, chart: np.ndarray | None = None) -> Faults:
+def check(
+    meshes: Sequence[Mesh],
+    uv: np.ndarray,
+    resolution: int,
+    padding: int,
+    chart: np.ndarray | None = None,
+    density: np.ndarray | None = None,
+) -> Faults:
     """Rasterize `uv` (nt, 3, 2) float32 of all triangles of `meshes` into one square image and report what is wrong.
 
     `padding` texels should be free between charts: those of `chart` (nt,), or else pieces that hang together in UV space. An image of
-    more than FINEST texels a side is looked at in less detail.
+    more than FINEST texels a side is looked at in less detail. `density` (n,) is that of `unwrap`.
     """
     size = min(resolution, FINEST)
     lightmap = rasterize(_world(meshes, uv), [0], "uv", size, 4)
     chart = _islands(meshes, uv) if chart is None else chart
     texel = np.full(size * size, -1, np.int64)
     texel[lightmap.pixel] = chart[lightmap.receivers.triangle[lightmap.receivers.start[:-1]]]
-    area = np.concatenate([np.linalg.norm(area_vectors(mesh.corners()), axis=1) for mesh in meshes])
+    factor = np.ones(len(meshes)) if density is None else density**2
+    area = np.concatenate([np.linalg.norm(area_vectors(mesh.corners()), axis=1) * f for mesh, f in zip(meshes, factor, strict=True)])
     flat = np.abs(signed_areas(uv.astype(np.float64))) * size**2
     scale = flat.sum() / max(float(area.sum()), 1e-300)
     return Faults(
