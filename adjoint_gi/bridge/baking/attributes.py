@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import bpy
 import numpy as np
 
+from ...core.base.text import json_text
 from ...core.elements.elements import Elements
 from ...core.elements.mesh import ElementNodes, mesh_solution
 from ...core.method.solution import Solution
@@ -57,7 +57,7 @@ class AttributeWriter(Writer):
             else:
                 found = self.vertices.spread(index, values), self.vertices.spread(index, valid)[:, 0]
                 written = write_attribute(*where, *found, **how, new_object=self.request.new_object)
-            written.object.data[links.ABOUT] = json.dumps(self.metadata(solution))
+            written.object.data[links.ABOUT] = json_text(self.metadata(solution))
             if written.taken is not None:
                 self.notices.append(written.taken)
             preview.follow(written.object, self.request.quantity, written.attribute)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ import bpy
 import numpy as np
 
 from ...core.base.errors import AdjointError, Notice
+from ...core.base.text import json_text
 from ...core.images.exr import write_exr
 from ...core.images.png import write_png
 from ...core.method.solution import Solution
@@ -148,7 +148,7 @@ class TextureWriter(Writer):
             file=file,
             folder=file.parent if file else None,
         )
-        made[links.ABOUT] = json.dumps(self.metadata(solution))
+        made[links.ABOUT] = json_text(self.metadata(solution))
         for obj, layer in zip(objects, sheet.uv_layers, strict=True):
             links.link(obj, quantity)["uv_layer"] = layer  # in an atlas they may have other names
             preview.follow(obj, quantity)

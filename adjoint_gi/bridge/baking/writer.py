@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import abc
-import json
 from pathlib import Path
 
 import bpy
 
 from ...core.base.errors import Notice, TargetError
+from ...core.base.text import json_text
 from ...core.method.solution import Solution
 from ...core.receivers.base import Receivers
 from ...core.scene.world import World
@@ -58,7 +58,7 @@ class Writer(abc.ABC):
             "quantity": solution.whole if self.request.target == "render" else self.request.quantity,
             "partial": "yes" if solution.partial else "no",
             "seconds": f"{solution.seconds:.3f}",
-            "settings": json.dumps(solution.settings, sort_keys=True),
+            "settings": json_text(dict(sorted(solution.settings.items()))),
         }
 
 

@@ -6,13 +6,17 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
-from pathlib import Path
+import re
+from typing import NoReturn
 
 from ...core.base.errors import SettingsError
 from ...core.base.settings import Settings, field_type
+from ...core.base.text import printable
 from ...core.method import registry
 from ...core.method.solution import QUANTITIES
 from ..comparison import arguments as compare_arguments
+from ..comparison.arguments import whole
+from ..host import files
 from ..props.request import DOMAINS, RECEIVERS, BakeRequest
 
 DEFAULTS = {f.name: f.default for f in dataclasses.fields(BakeRequest) if f.default is not dataclasses.MISSING}
@@ -22,10 +26,18 @@ DONE, FAILED, REFUSED, INTERRUPTED = 0, 1, 2, 130
 DEMO_METHODS = ("path_tracing", "particle_tracing", "matrix_radiosity", "progressive_radiosity")
 
 
-def make_parser(in_blender: bool) -> argparse.ArgumentParser:
+class Parser(argparse.ArgumentParser):
+    """Its errors quote arguments, which are one line each whatever they hold."""
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong with the arguments, and exit."""
+        super().error(printable(message))
+
+
+def make_parser(in_blender: bool) -> Parser:
     """The one parser of both entries; inside Blender the open file is used when no scene is named."""
     program = "blender -b scene.blend --command adjoint_gi" if in_blender else "adjoint-gi"
-    parser = argparse.ArgumentParser(prog=program, description="Bake global illumination by gathering and shooting methods.")
+    parser = Parser(prog=program, description="Bake global illumination by gathering and shooting methods.")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     bake = commands.add_parser("bake", help="bake a scene to textures, colour attributes or a picture", epilog=settings_help())
     bake.formatter_class = argparse.RawDescriptionHelpFormatter
@@ -48,8 +60,8 @@ def make_parser(in_blender: bool) -> argparse.ArgumentParser:
         metavar="ID",
         help="methods that make a picture, or all (default: %(default)s)",
     )
-    demo.add_argument("--size", type=int, default=480, help="width and height of the pictures (default: %(default)s)")
-    demo.add_argument("--threads", type=int, metavar="N", help=f"threads, 1 to {MOST_THREADS} (default: one for each core)")
+    demo.add_argument("--size", type=whole, default=480, help="width and height of the pictures (default: %(default)s)")
+    demo.add_argument("--threads", type=whole, metavar="N", help=f"threads, 1 to {MOST_THREADS} (default: one for each core)")
     return parser
 
 
@@ -61,19 +73,19 @@ def add_request(parser: argparse.ArgumentParser, in_blender: bool) -> None:
     parser.add_argument("--target", default="texture", choices=tuple(RECEIVERS), help=default)
     parser.add_argument("--quantity", default=DEFAULTS["quantity"], choices=QUANTITIES, help=default)
     parser.add_argument("--objects", nargs="+", action="extend", default=[], metavar="NAME", help="mesh objects (default: all rendered)")
-    parser.add_argument("--resolution", type=int, default=DEFAULTS["resolution"], help=f"width and height in texels ({default})")
+    parser.add_argument("--resolution", type=whole, default=DEFAULTS["resolution"], help=f"width and height in texels ({default})")
     parser.add_argument("--atlas", action="store_true", help="one lightmap for all objects")
     parser.add_argument("--uv-layer", default="", metavar="NAME", help="UV layer to bake into (default: one made for the lightmap)")
-    parser.add_argument("--margin", type=int, default=DEFAULTS["margin"], help=f"texels by which charts are extended ({default})")
-    parser.add_argument("--subsamples", type=int, default=DEFAULTS["subsamples"], help=f"points in each texel ({default})")
+    parser.add_argument("--margin", type=whole, default=DEFAULTS["margin"], help=f"texels by which charts are extended ({default})")
+    parser.add_argument("--subsamples", type=whole, default=DEFAULTS["subsamples"], help=f"points in each texel ({default})")
     parser.add_argument("--attribute", default=DEFAULTS["attribute"], metavar="NAME", help=f"name of the colour attribute ({default})")
     parser.add_argument("--domain", default=DEFAULTS["domain"], choices=DOMAINS, help=default)
     what = "write the attribute to a new object: the elements of element methods, or the evaluated mesh"
     parser.add_argument("--new-object", action="store_true", help=what)
     parser.add_argument("--size", metavar="WxH", help="size of the picture (default: that of the render settings)")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the method; may be repeated")
-    parser.add_argument("--seed", type=int, help="start of the random numbers")
-    parser.add_argument("--threads", type=int, metavar="N", help=f"threads, 1 to {MOST_THREADS} (default: one for each core)")
+    parser.add_argument("--seed", type=whole, help="start of the random numbers")
+    parser.add_argument("--threads", type=whole, metavar="N", help=f"threads, 1 to {MOST_THREADS} (default: one for each core)")
     parser.add_argument("--output", default="", metavar="DIR", help="folder for EXR and PNG files")
 
 
@@ -119,7 +131,7 @@ def request_of(options: argparse.Namespace) -> BakeRequest:
         attribute=options.attribute,
         domain=options.domain,
         new_object=options.new_object,
-        output=str(Path(options.output).absolute()) if options.output and not options.output.startswith("//") else options.output,
+        output=str(files.absolute(options.output)) if options.output and not options.output.startswith("//") else options.output,
         width=width,
         height=height,
     )
@@ -137,7 +149,8 @@ def use_threads(wanted: int | None) -> None:
 def _size(text: str | None) -> tuple[int, int]:
     if text is None:
         return 0, 0
-    width, x, height = text.lower().partition("x")
-    if not (x and width.isdigit() and height.isdigit() and int(width) and int(height)):
+    found = re.fullmatch(r"([0-9]{1,9})[xX]([0-9]{1,9})", text)
+    width, height = map(int, found.groups()) if found else (0, 0)
+    if not (width and height):
         raise SettingsError(f"--size {text}", "is not of the form WIDTHxHEIGHT", "Write, for example, --size 480x270")
-    return int(width), int(height)
+    return width, height

@@ -14,6 +14,7 @@ import bpy
 from ...core.base.atomic import check_target, replace_file
 from ...core.base.errors import AdjointError, MemoryRefused, Notice, SceneError, TargetError, WriteError
 from ...core.base.resources import peak_memory, size_text
+from ...core.base.text import json_text
 from ...core.method.solution import Solution
 from ..baking.bake import Bake, preflight
 from ..baking.report import of_bake
@@ -23,7 +24,8 @@ from ..results import kept
 from ..results.links import ABOUT
 from .arguments import DONE, FAILED, INTERRUPTED, request_of, use_threads
 from .open import open_scene
-from .progress import Progress, say_notices, seconds_text
+from .progress import Progress, seconds_text
+from .streams import say, say_notices
 
 
 def bake(options: argparse.Namespace) -> int:
@@ -43,16 +45,13 @@ def bake(options: argparse.Namespace) -> int:
             raise failure
         raise KeyboardInterrupt
     known = len(made.notices)
-    try:
-        write(made, solution, options.save_blend)
-    except AdjointError as error:
-        say_notices([error.notice])
-        say_notices([Notice("Result", f"is kept in {kept.save(solution)}", "Read it with numpy.load", "warning")])
-        return FAILED
+    written = write_or_keep(made, solution, options.save_blend)
     say_notices(made.notices[known:])
     if options.report:
-        print(f"wrote {write_report(Path(options.report), of_bake(made))}")
-    print(summary(made))
+        say(f"wrote {write_report(options.report, of_bake(made))}")
+    if not written:
+        return FAILED
+    say(summary(made))
     if failure is not None:
         if isinstance(failure, AdjointError):
             say_notices([failure.notice])
@@ -68,9 +67,9 @@ def check(options: argparse.Namespace) -> int:
     open_scene(options)
     notices = preflight(bpy.context, request, thorough=True)
     for notice in notices:
-        print(f"{notice.severity}: {notice}")
+        say(f"{notice.severity}: {notice}")
     errors = sum(n.severity == "error" for n in notices)
-    print(f"{errors} errors, {sum(n.severity == 'warning' for n in notices)} warnings")
+    say(f"{errors} errors, {sum(n.severity == 'warning' for n in notices)} warnings")
     return 2 if errors else 0
 
 
@@ -88,6 +87,20 @@ def solve(made: Bake) -> BaseException | None:
     return None
 
 
+def write_or_keep(made: Bake, solution: Solution, blend: str | None) -> bool:
+    """`write`; where that fails, keep the result as a file. Both stand in the notices of `made`. Returns whether all of it was written."""
+    try:
+        write(made, solution, blend)
+    except AdjointError as error:
+        made.notices.append(error.notice)
+        try:
+            made.notices.append(Notice("Result", f"is kept in {kept.save(solution)}", "Read it with numpy.load", "warning"))
+        except AdjointError as second:
+            made.notices.append(second.notice)
+        return False
+    return True
+
+
 def write(made: Bake, solution: Solution, blend: str | None) -> None:
     """Write the result, and save the scene with it as `blend`; raises `AdjointError` when not all of it was written.
 
@@ -99,11 +112,11 @@ def write(made: Bake, solution: Solution, blend: str | None) -> None:
     except AdjointError as error:
         problem = error
     if blend and (made.written or problem is None):
-        made.files.append(save_blend(Path(blend)))
+        made.files.append(save_blend(files.absolute(blend)))
         made.written.append(made.files[-1])
     if blend or problem is None:
         for name in made.written:
-            print(f"wrote {name}")
+            say(f"wrote {name}")
     if problem is not None:
         raise problem
 
@@ -130,9 +143,9 @@ def require_place(options: argparse.Namespace, request: BakeRequest) -> None:
     if request.target == "attribute" and not options.save_blend:
         raise TargetError("--save-blend", "is missing, and only a .blend file holds an attribute", "Give --save-blend FILE")
     if options.save_blend:
-        require_blend(Path(options.save_blend).absolute(), options.overwrite)
+        require_blend(files.absolute(options.save_blend), options.overwrite)
     if options.report:
-        path = Path(options.report).absolute()
+        path = files.absolute(options.report)
         if not path.parent.is_dir():
             raise TargetError(str(path), "is in a folder that does not exist", "Make the folder, or choose another")
         check_target(path, path.parent, is_report)
@@ -152,16 +165,15 @@ def require_blend(path: Path, overwrite: bool) -> None:
 
 def save_blend(path: Path) -> str:
     """Save the open file as `path` and look into it for the results; raises `WriteError` when one is missing."""
-    path = path.absolute()
+    path = files.absolute(path)
     try:
         bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, check_existing=False)
     except RuntimeError as error:
         raise WriteError(str(path), f"could not be written ({str(error).strip()})", "Choose another folder") from None
-    # A copy is looked into, because Blender does not look into the file that is open.
-    with tempfile.TemporaryDirectory(prefix="adjoint_gi_") as folder:
-        copy = shutil.copyfile(path, Path(folder) / "copy.blend")
-        with bpy.data.libraries.load(str(copy)) as (inside, _):
-            have = {"images": set(inside.images), "meshes": set(inside.meshes)}
+    try:
+        have = _inside(path)
+    except OSError as error:
+        raise WriteError(str(path), f"could not be read back ({error.strerror or error})", "Make room and try again") from None
     for kind, names in have.items():
         missing = {block.name for block in getattr(bpy.data, kind) if ABOUT in block} - names
         if missing:
@@ -169,10 +181,18 @@ def save_blend(path: Path) -> str:
     return str(path)
 
 
-def write_report(path: Path, report: dict) -> Path:
+def _inside(path: Path) -> dict[str, set[str]]:
+    """Names of the images and meshes in a .blend file. A copy is looked into, because Blender does not look into the file that is open."""
+    with tempfile.TemporaryDirectory(prefix="adjoint_gi_") as folder:
+        copy = shutil.copyfile(path, Path(folder) / "copy.blend")
+        with bpy.data.libraries.load(str(copy)) as (inside, _):
+            return {"images": set(inside.images), "meshes": set(inside.meshes)}
+
+
+def write_report(path: str | Path, report: dict) -> Path:
     """Write `report` as JSON; raises `TargetError` where a file is that is no report."""
-    path = path.absolute()
-    data = json.dumps(report, indent=1).encode()
+    path = files.absolute(path)
+    data = json_text(report, indent=1).encode()
     return replace_file(
         path, path.parent, write=lambda p: _put(p, data), verify=lambda p: p.read_bytes() == data and is_report(p), ours=is_report
     )

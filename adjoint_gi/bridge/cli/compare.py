@@ -17,7 +17,8 @@ from ..comparison.request import Compare
 from ..host import files
 from .arguments import DONE, FAILED, INTERRUPTED, use_threads
 from .open import open_scene
-from .progress import Progress, say_notices, seconds_text
+from .progress import Progress, seconds_text
+from .streams import say, say_notices
 
 
 def compare(options: argparse.Namespace) -> int:
@@ -49,9 +50,9 @@ def compare(options: argparse.Namespace) -> int:
         paths = keep_files(made, result)
         say_notices([Notice("Result", f"is kept in {paths[0].parent}", "", "warning")])
     for path in paths:
-        print(f"wrote {path}")
+        say(f"wrote {path}")
     for line in table(result):
-        print(line)
+        say(line)
     if problem is not None:
         return FAILED
     if result.partial:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from pathlib import Path
 
@@ -27,6 +26,7 @@ from .arguments import INTERRUPTED, use_threads
 from .bake import require_blend, save_blend, solve, summary, write_report
 from .cornell import build_cornell
 from .progress import seconds_text
+from .streams import say
 
 ATTRIBUTE = "AdjointGI"
 # What the pictures and the lightmap need to look finished; methods that are not named run with their defaults.
@@ -47,7 +47,7 @@ def demo(options: argparse.Namespace) -> int:
         registry.method(name)  # refuses a name that is no method before anything is baked
     use_threads(options.threads)
     began = time.perf_counter()
-    folder = files.output_folder(str(Path(options.output).absolute()))
+    folder = files.output_folder(str(files.absolute(options.output)))
     if not options.in_blender:
         bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = build_cornell(size=(options.size, options.size))
@@ -90,9 +90,10 @@ def _bake_all(methods: list[str], folder: Path, began: float) -> int:
     save_blend(blend)
     write_report(folder / "report.json", {"format": 1, "bakes": reports, "versions": reports[0]["versions"]})
     opened.append(("the scene with lightmap and vertex colours", blend))
-    print(f"\n{len(reports)} bakes in {seconds_text(time.perf_counter() - began)}. To open:")
+    say()
+    say(f"{len(reports)} bakes in {seconds_text(time.perf_counter() - began)}. To open:")
     for what, path in opened:
-        print(f"  {path}  {what}")
+        say(f"  {path}  {what}")
     return 0
 
 
@@ -106,9 +107,9 @@ def _bake(method: str, target: str, folder: Path, **values: object) -> Bake | No
     solution = made.driver.solution()
     if solution is not None:
         made.write(solution)
-        print(summary(made), flush=True)
+        say(summary(made))
     if made.driver.state != "finished":
-        print("interrupted", file=sys.stderr)
+        say("interrupted", error=True)
         return None
     return made
 

@@ -11,20 +11,19 @@ from __future__ import annotations
 
 import os
 import sys
-import traceback
 from collections.abc import Sequence
 
 import bpy
 
 from .... import solvers
-from ...core.base.errors import AdjointError, WriteError
+from ...core.base.errors import AdjointError, Notice, WriteError
 from . import bake as cli_bake
 from . import compare as cli_compare
 from . import demo as cli_demo
 from . import methods as cli_methods
 from . import open as cli_open
-from .arguments import FAILED, INTERRUPTED, REFUSED, make_parser
-from .progress import say_notices
+from .arguments import DONE, FAILED, INTERRUPTED, REFUSED, make_parser
+from .streams import guarded, say, say_notices, say_traceback
 
 COMMANDS = {
     "bake": cli_bake.bake,
@@ -40,6 +39,18 @@ _handle = None
 def main(arguments: Sequence[str], in_blender: bool) -> int:
     """Carry out one command; returns the exit code. `in_blender`: a file is open already, and none has to be named."""
     solvers.load()
+    with guarded() as (out, _):
+        code = _carry_out(arguments, in_blender)
+        out.flush()
+        if out.lost:
+            say_notices([Notice("Standard output", f"could not be written ({out.lost})", "Send it elsewhere", "error")])
+            # The answer of these is what they print; other commands have written files.
+            if code == DONE and arguments[0] in ("check", "methods"):
+                code = FAILED
+    return code
+
+
+def _carry_out(arguments: Sequence[str], in_blender: bool) -> int:
     try:
         options = make_parser(in_blender).parse_args(list(arguments))
         options.in_blender = in_blender
@@ -47,7 +58,7 @@ def main(arguments: Sequence[str], in_blender: bool) -> int:
     except SystemExit as error:  # argparse has printed its message
         return error.code if isinstance(error.code, int) else REFUSED
     except KeyboardInterrupt:
-        print("interrupted before a result was written", file=sys.stderr)
+        say("interrupted before a result was written", error=True)
         return INTERRUPTED
     except WriteError as error:
         say_notices([error.notice])
@@ -56,24 +67,18 @@ def main(arguments: Sequence[str], in_blender: bool) -> int:
         say_notices([error.notice, *error.others])
         return REFUSED
     except Exception:
-        traceback.print_exc()
+        say_traceback()
         return FAILED
 
 
 def console() -> None:
     """Entry point of `adjoint-gi`; ends the process at once, for an interpreter with Blender inside may hang while it is taken apart."""
-    code = main(sys.argv[1:], in_blender=False)
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
+    os._exit(main(sys.argv[1:], in_blender=False))
 
 
 def _command(arguments: list[str]) -> int:
     """What follows `--command adjoint_gi`."""
-    code = main(arguments, in_blender=True)
-    sys.stdout.flush()
-    sys.stderr.flush()
-    return code
+    return main(arguments, in_blender=True)
 
 
 def register() -> None:

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import argparse
-import json
 
+from ...core.base.text import json_text
 from ...core.method import registry
 from ...core.method.registry import MethodSpec
 
@@ -13,7 +13,7 @@ from ...core.method.registry import MethodSpec
 def methods(options: argparse.Namespace) -> int:
     """Print all methods."""
     specs = [solver.spec for solver in registry.methods()]
-    print(json.dumps([entry(spec) for spec in specs], indent=1) if options.json else table(specs))
+    print(json_text([entry(spec) for spec in specs], indent=1) if options.json else table(specs))
     return 0
 
 

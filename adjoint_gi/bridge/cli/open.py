@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
 import bpy
 
 from ...core.base.errors import Notice, TargetError
-from ..host import background
-from .progress import say_notices
+from ..host import background, files
+from .streams import say_notices
 
 COMMAND = ("-c", "--command")
 SCRIPT = ("-P", "--python", "--python-expr", "--python-text")  # may have built the scene
@@ -30,7 +29,7 @@ def open_scene(options: argparse.Namespace) -> None:
 
 def open_file(scene: str) -> None:
     """Open a .blend file without its window layout; raises `TargetError`."""
-    path = Path(scene).absolute()
+    path = files.absolute(scene)
     if not path.is_file():
         raise TargetError(str(path), "does not exist", "Name a .blend file")
     try:

@@ -5,10 +5,9 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterable
 from typing import TextIO
 
-from ...core.base.errors import Notice
+from ...core.base.text import printable
 from ...core.method.driver import Driver
 
 BAR = 24
@@ -44,7 +43,7 @@ class Progress:
         """How far, in words."""
         left = driver.seconds_left
         rest = f", {seconds_text(left)} left" if left is not None else ""
-        return f"{self.label}: {100 * driver.fraction:3.0f} %, {driver.text}, {seconds_text(driver.seconds)}{rest}"
+        return printable(f"{self.label}: {100 * driver.fraction:3.0f} %, {driver.text}, {seconds_text(driver.seconds)}{rest}")
 
     def end(self) -> None:
         """Take the bar away."""
@@ -59,9 +58,3 @@ def seconds_text(seconds: float) -> str:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(int(round(seconds)), 60)
     return f"{minutes}:{rest:02d} min" if minutes < 60 else f"{minutes // 60}:{minutes % 60:02d} h"
-
-
-def say_notices(notices: Iterable[Notice]) -> None:
-    """Print notices to standard error, with their severity."""
-    for notice in notices:
-        print(f"{notice.severity}: {notice}", file=sys.stderr, flush=True)

@@ -5,14 +5,23 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import re
 from collections.abc import Sequence
-from pathlib import Path
 
 from ...core.base.errors import SettingsError
 from ...core.base.settings import Settings
 from ...core.comparison.budget import Budget
 from ...core.method import registry
+from ..host import files
 from .request import PLACES, CompareRequest, ReferenceChoice
+
+
+def whole(text: str) -> int:
+    """A whole number of at most 18 digits of ASCII; `int` alone also reads 1_0, digits of other scripts, and numbers that numpy cannot
+    hold. Raises argparse's error."""
+    if not re.fullmatch(r"[+-]?[0-9]{1,18}", text):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number")
+    return int(text)
 
 
 def add_scene(parser: argparse.ArgumentParser, in_blender: bool) -> None:
@@ -40,11 +49,13 @@ def add_arguments(parser: argparse.ArgumentParser, in_blender: bool) -> None:
     )
     parser.add_argument("--receivers", default="texture", choices=PLACES, help=f"texels of the objects, or pixels ({default})")
     parser.add_argument("--objects", nargs="+", action="extend", default=[], metavar="NAME", help="mesh objects (default: all rendered)")
-    parser.add_argument("--resolution", type=int, default=32, help=f"width and height in texels, or pixels of the longer side ({default})")
+    parser.add_argument("--resolution", type=whole, default=32, help=f"texels a side, or pixels of the longer side ({default})")
     parser.add_argument("--set", action="append", default=[], metavar="METHOD.KEY=VALUE", help="a setting of a method; may be repeated")
-    parser.add_argument("--repeats", type=int, default=4, help=f"runs with other seeds, which measure noise of random methods ({default})")
-    parser.add_argument("--seed", type=int, default=0, help=f"start of the random numbers ({default})")
-    parser.add_argument("--threads", type=int, metavar="N", help="threads, 1 to 256 (default: one for each core)")
+    parser.add_argument(
+        "--repeats", type=whole, default=4, help=f"runs with other seeds, which measure the noise of random methods ({default})"
+    )
+    parser.add_argument("--seed", type=whole, default=0, help=f"start of the random numbers ({default})")
+    parser.add_argument("--threads", type=whole, metavar="N", help="threads, 1 to 256 (default: one for each core)")
     parser.add_argument("--output", required=True, metavar="DIR", help="folder for index.html, compare.json and the pictures")
 
 
@@ -63,7 +74,7 @@ def request_of(options: argparse.Namespace) -> CompareRequest:
         settings_of(options.set, options.seed),
         options.repeats,
         options.seed,
-        str(Path(options.output).absolute()),
+        str(files.absolute(options.output)),
     )
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import bpy
 
 from ...core.base.atomic import check_target, replace_file
+from ...core.base.text import json_text
 from ...core.comparison import page
 from ...core.comparison.run import Result
 from ...core.images import png
@@ -51,7 +52,7 @@ def write_files(made: Compare, result: Result, folder: Path) -> list[Path]:
     data = page.as_json(result, made.notices) | {"scene": dict(facts), "versions": known}
     out = [
         _write(folder / PAGE, folder, text, is_page),
-        _write(folder / DATA, folder, json.dumps(_finite(data), indent=1, allow_nan=False).encode(), is_json),
+        _write(folder / DATA, folder, json_text(data, indent=1).encode(), is_json),
     ]
     for name, picture in pictures.items():
         out.append(write_png(folder / _file(name), page.decoded(picture), folder=folder))
@@ -87,14 +88,3 @@ def _write(path: Path, folder: Path, data: bytes, ours: Any) -> Path:
 def _put(path: Path, data: bytes) -> None:
     with open(path, "wb") as file:
         file.write(data)
-
-
-def _finite(value: Any) -> Any:
-    """The same with None in place of numbers that JSON does not know."""
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
-        return None
-    return value

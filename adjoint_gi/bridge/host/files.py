@@ -28,6 +28,14 @@ def safe_name(name: str) -> str:
     return f"{clean or 'unnamed'}-{digest}"
 
 
+def absolute(text: str | Path) -> Path:
+    """`text` as an absolute path, from the working directory; raises TargetError when it needs one that is gone."""
+    try:
+        return Path(text).absolute()
+    except FileNotFoundError:
+        raise TargetError("Working directory", "was removed", "Change to a folder that exists, or give absolute paths") from None
+
+
 def output_folder(text: str, create: bool = True) -> Path:
     """The absolute folder that `text` names, "//" meaning beside the .blend file.
 

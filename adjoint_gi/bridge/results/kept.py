@@ -3,32 +3,51 @@
 
 from __future__ import annotations
 
-import json
+import functools
 import os
 import tempfile
 import time
+import zipfile
 from pathlib import Path
 
 import bpy
 import numpy as np
 
 from .... import __package__ as base_package
+from ...core.base.atomic import replace_file
+from ...core.base.errors import WriteError
+from ...core.base.text import json_text
 from ...core.method.solution import Solution
+
+ARRAYS = ("emitted", "direct", "indirect", "albedo", "weight")
 
 
 def folder() -> Path:
-    """The extension's own folder for such files; outside an installed extension a folder for temporary files."""
+    """The extension's own folder for such files; outside an installed extension a folder for temporary files. Raises WriteError."""
     try:
         return Path(bpy.utils.extension_path_user(base_package, path="kept", create=True))
     except ValueError:  # Blender gives no folder to code that is not an extension
-        path = Path(tempfile.gettempdir()) / "adjoint_gi_kept"
-        path.mkdir(exist_ok=True)
-        return path
+        return _temporary_folder()
+    except OSError as error:
+        raise WriteError("Folder for kept results", f"cannot be made ({error.strerror or error})", "Make room, then write again") from error
+
+
+@functools.cache
+def _temporary_folder() -> Path:
+    """A new folder that only this user can enter: whoever knew its name could have put a link there."""
+    try:
+        return Path(tempfile.mkdtemp(prefix="adjoint_gi_kept_"))
+    except OSError as error:
+        raise WriteError("Temporary folder", f"cannot be used ({error.strerror or error})", "Make room, then write again") from error
 
 
 def save(solution: Solution) -> str:
-    """Write every array of `solution` and its numbers to a new .npz file and return its path; numpy reads it without pickle."""
-    path = folder() / f"{solution.method}_{time.strftime('%Y%m%d_%H%M%S')}_{os.getpid()}_{time.monotonic_ns() % 10**6}.npz"
+    """Write every array of `solution` and its numbers to a new .npz file and return its path; numpy reads it without pickle.
+
+    Raises WriteError, as on a full disk; then there is no file.
+    """
+    place = folder()
+    path = place / f"{solution.method}_{time.strftime('%Y%m%d_%H%M%S')}_{os.getpid()}_{time.monotonic_ns() % 10**6}.npz"
     about = {
         "method": solution.method,
         "measure": solution.measure,
@@ -37,6 +56,20 @@ def save(solution: Solution) -> str:
         "rays": int(solution.rays),
         "partial": solution.partial,
     }
-    arrays = {name: getattr(solution, name) for name in ("emitted", "direct", "indirect", "albedo", "weight")}
-    np.savez_compressed(path, about=np.array(json.dumps(about)), **arrays)
+    arrays = {name: getattr(solution, name) for name in ARRAYS}
+
+    def write(temporary: Path) -> None:
+        with open(temporary, "wb") as file:
+            np.savez_compressed(file, about=np.array(json_text(about)), **arrays)
+
+    replace_file(path, place, write=write, verify=_is_whole, ours=lambda _: False)
     return str(path)
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether all arrays read back; zip files hold a checksum of each."""
+    try:
+        with zipfile.ZipFile(path) as file:
+            return file.testzip() is None and len(file.namelist()) == len(ARRAYS) + 1
+    except zipfile.BadZipFile:
+        return False

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from .text import printable
+
 
 @dataclass(frozen=True)
 class Notice:
@@ -21,7 +23,8 @@ class Notice:
 
     def __str__(self) -> str:
         text = f"{self.object}: {self.reason}" if self.object else self.reason
-        return f"{text}. {self.remedy}" if self.remedy else text
+        # Names and messages of files from strangers reach terminals.
+        return printable(f"{text}. {self.remedy}" if self.remedy else text)
 
 
 class AdjointError(Exception):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -105,6 +106,8 @@ def parse(f: dataclasses.Field, text: Any) -> Any:
         if kind is bool:
             words = {"1": True, "true": True, "yes": True, "on": True, "0": False, "false": False, "no": False, "off": False}
             return words[text.strip().lower()]
+        if kind is not str and ("_" in text or not text.isascii()):  # Python reads 1_0, and digits of other scripts
+            raise ValueError(text)
         return kind(text)
     except (KeyError, ValueError):
         raise SettingsError(f.name, f"cannot read {text!r} as {kind.__name__}", f"Give a {kind.__name__}, such as {f.default!r}") from None
@@ -128,3 +131,5 @@ def check(f: dataclasses.Field, value: Any) -> None:
             raise SettingsError(f.name, f"{value} is below {meta['min']}", f"Give at least {meta['min']}")
         if meta["max"] is not None and value > meta["max"]:
             raise SettingsError(f.name, f"{value} is above {meta['max']}", f"Give at most {meta['max']}")
+        if math.isinf(value):
+            raise SettingsError(f.name, f"{value} is not a finite number", f"Give a value such as {f.default!r}")
