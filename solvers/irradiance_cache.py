@@ -33,7 +33,7 @@ from ..adjoint_gi.core.sampling.maps import frame_rows
 from ..adjoint_gi.core.scene.arrays import RayKind
 from ..adjoint_gi.core.scene.world import Surface, World
 from ..adjoint_gi.core.walks.gathering import Run, sliced
-from ..adjoint_gi.core.walks.irradiance_records import RecordIndex, Records, gradients, hemisphere
+from ..adjoint_gi.core.walks.irradiance_records import RecordIndex, Records, gradients, halves, hemisphere
 from ..adjoint_gi.core.walks.paths import Gathered, Walk
 from ..adjoint_gi.core.walks.radiance import gather, lobes_of
 
@@ -56,7 +56,7 @@ class CacheSettings(base.Settings):
     )
     rays: int = setting(512, "Rays", "Rays over the hemisphere of each cached value", min=16, max=65536, soft_max=4096)
     gradients: bool = setting(True, "Gradients", "Extrapolate each value by its rotation and translation gradients (Ward and Heckbert)")
-    light_samples: int = common.light_samples(8, "Light points for direct light at each point")
+    light_samples: int = common.light_samples(8, "Light points for direct light at each point, two at least: their noise is measured")
     min_spacing: float = setting(
         0.01, "Min Spacing", "Smallest radius of a cached value, as a share of the scene's size", min=1e-6, max=1.0, soft_max=0.1
     )
@@ -109,11 +109,12 @@ class IrradianceCache(Solver):
 
         # Step 2: fd * irradiance at every receiver. The index does not change any more, so threads may share it.
         def estimate(surface: Surface, wo: np.ndarray | None, generator: np.random.Generator) -> Gathered:
-            direct, rays = state.direct(surface, generator)
-            found = Gathered(direct, state.indirect(surface), rays)
+            direct, noise, rays = state.direct(surface, generator)
+            indirect, spread = state.indirect(surface)
+            found = Gathered(direct, indirect, rays, noise + spread)
             return found if wo is None else found.times(world.albedo(surface) / np.float32(np.pi))
 
-        for step in run.fixed_points(estimate):
+        for step in run.fixed_points(estimate, seed=seed):
             yield Step(0.8 + 0.2 * step.fraction, step.text, step.solution)
 
 
@@ -127,18 +128,24 @@ class CacheRun:
         self.records = Records.empty()
         self.index = RecordIndex(self.records, settings.accuracy, 1.01 * world.size)
 
-    def direct(self, surface: Surface, rng: np.random.Generator) -> tuple[np.ndarray, int]:
-        """(n, 3) irradiance straight from the lights, which is not cached, and the rays cast."""
+    def direct(self, surface: Surface, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, int]:
+        """(n, 3) irradiance straight from the lights, which is not cached, half of what its two halves differ by, and the rays cast."""
         s = self.settings
-        if s.min_length <= 1 <= s.max_length:
-            return direct_irradiance(self.world, self.walk.emitters, surface, s.light_samples, rng)
-        return np.zeros((len(surface.triangle), 3), np.float32), 0
+        if not s.min_length <= 1 <= s.max_length:
+            nothing = np.zeros((len(surface.triangle), 3), np.float32)
+            return nothing, nothing, 0
+        half = max(1, s.light_samples // 2)
+        parts = [direct_irradiance(self.world, self.walk.emitters, surface, n, rng) for n in (half, max(1, s.light_samples - half))]
+        (a, some), (b, more) = parts
+        share = np.float32(half / max(2, s.light_samples))
+        return share * a + (1 - share) * b, (a - b) / 2, some + more
 
-    def indirect(self, surface: Surface) -> np.ndarray:
-        """(n, 3) int Lr cos dw, interpolated."""
+    def indirect(self, surface: Surface) -> tuple[np.ndarray, np.ndarray]:
+        """(n, 3) int Lr cos dw, interpolated, and its spread."""
         if self.settings.max_length < 2:
-            return np.zeros((len(surface.triangle), 3), np.float32)
-        return self.index.irradiance(surface.position, surface.ns, self.settings.gradients)[0]
+            nothing = np.zeros((len(surface.triangle), 3), np.float32)
+            return nothing, nothing
+        return self.index.irradiance(surface.position, surface.ns, self.settings.gradients)[:2]
 
     def cover(self, receivers: Receivers, stride: int, start: int, run: Run) -> Iterator[float]:
         """Make records until every `stride`-th receiver point has one; yields the share done."""
@@ -177,7 +184,7 @@ class CacheRun:
         local, _ = hemisphere(self.rows, self.cols, rng, len(x))
         radiance, distance, rays = self._look(surface, local, x, y, rng)
         # int Lr cos dw: directions are drawn by the cosine, so it is pi times the mean. It holds as far as the harmonic mean distance.
-        irradiance = radiance.mean(axis=(1, 2)) * np.float32(np.pi)
+        irradiance, spread = radiance.mean(axis=(1, 2)) * np.float32(np.pi), halves(radiance) * np.float32(np.pi)
         radius = 1 / (1 / distance).mean(axis=(1, 2))
         rotation, translation = gradients(radiance, distance, local, x, y)
         if s.gradients:
@@ -188,7 +195,7 @@ class CacheRun:
         radius = np.clip(radius, s.min_spacing * size / s.accuracy, 2 * size).astype(np.float32)
         # Where the least spacing makes records reach further than that, they are extrapolated less.
         translation = translation * np.minimum(1, bound / radius)[:, None, None].astype(np.float32)
-        return Records(surface.position, surface.ns, irradiance.astype(np.float32), radius, rotation, translation), rays
+        return Records(surface.position, surface.ns, irradiance.astype(np.float32), spread, radius, rotation, translation), rays
 
     def _look(
         self, surface: Surface, local: np.ndarray, x: np.ndarray, y: np.ndarray, rng: np.random.Generator

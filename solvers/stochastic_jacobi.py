@@ -117,7 +117,7 @@ class JacobiRun(RadiosityRun):
     def __init__(
         self, solver: Solver, world: World, receivers: Receivers, settings: StochasticJacobiSettings, rng: np.random.Generator
     ) -> None:
-        super().__init__(solver, world, receivers, settings)
+        super().__init__(solver, world, receivers, settings, rng.integers(0, 1 << 63, 4).tolist())
         self.count = max(RUNS, -(-settings.rays // MOST_RAYS_PER_GROUP))
         self.transport = FreshRayTransport(ElementRays(self.elements), rng)
         self.mean = Mean(self.transport.area)

@@ -186,6 +186,20 @@ BUGS = (
         "",
         "tests/core/test_southwell.py",
     ),
+    Bug(
+        "rotation gradient of the wrong sign",
+        "adjoint_gi/core/walks/irradiance_records.py",
+        "    v = np.stack([-np.sin(middle), np.cos(middle)])",
+        "    v = np.stack([np.sin(middle), -np.cos(middle)])",
+        "tests/methods/test_irradiance_cache.py -k rotation",
+    ),
+    Bug(
+        "direct light of the cache without its seed",
+        "adjoint_gi/core/walks/gathering.py",
+        "default_rng([*seed, 11, index])",
+        "default_rng([11, index])",
+        "tests/methods/test_irradiance_cache.py -k seed",
+    ),
 )
 
 

@@ -5,10 +5,12 @@ from functools import partial
 
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.sampling.maps import frame_rows
 from adjgi.adjoint_gi.core.scene.world import World
-from adjgi.adjoint_gi.core.walks.irradiance_records import RecordIndex, Records
+from adjgi.adjoint_gi.core.walks.irradiance_records import RecordIndex, Records, gradients, hemisphere
 from adjgi.tests import scenes, solving
 from adjgi.tests.solving import grid, quad_points
 
@@ -82,12 +84,12 @@ def test_order_of_records_does_not_matter():
     up = np.tile(np.float32([0, 0, 1]), (n, 1))
     values = rng.random((n, 3)).astype(np.float32)
     zero = np.zeros((n, 3, 3), np.float32)
-    records = Records(position.astype(np.float32), up, values, np.full(n, 0.5, np.float32), zero, zero)
+    records = Records(position.astype(np.float32), up, values, values, np.full(n, 0.5, np.float32), zero, zero)
     order = rng.permutation(n)
     shuffled = Records(*(getattr(records, f.name)[order] for f in dataclasses.fields(Records)))
     query = (rng.random((50, 3)) * [1, 1, 0]).astype(np.float32)
-    a, known = RecordIndex(records, 0.4, 1.5).irradiance(query, up[:50], True)
-    b, _ = RecordIndex(shuffled, 0.4, 1.5).irradiance(query, up[:50], True)
+    a, _, known = RecordIndex(records, 0.4, 1.5).irradiance(query, up[:50], True)
+    b, _, _ = RecordIndex(shuffled, 0.4, 1.5).irradiance(query, up[:50], True)
     assert known.all() and np.allclose(a, b, rtol=1e-5)
 
 
@@ -99,7 +101,7 @@ def test_index_finds_every_record_that_serves():
     normal = (normal / np.linalg.norm(normal, axis=1, keepdims=True)).astype(np.float32)
     radius = (10 ** rng.uniform(-2, 0.5, n)).astype(np.float32)
     zero = np.zeros((n, 3, 3), np.float32)
-    index = RecordIndex(Records(position, normal, zero[:, 0], radius, zero, zero), 0.5, 1.01)
+    index = RecordIndex(Records(position, normal, zero[:, 0], zero[:, 0], radius, zero, zero), 0.5, 1.01)
     query, facing = (rng.random((80, 3)) * 2 - 1).astype(np.float32), normal[:80]
     point, record, _ = index.pairs(query, facing)
     found = set(zip(point.tolist(), record.tolist(), strict=True))
@@ -127,3 +129,87 @@ def test_camera_and_path_lengths():
     world = World(scenes.cornell(12, 12))
     out = bake(world, CameraReceivers(world, grid=2), rays=64, accuracy=0.5, light_samples=2, max_length=1)
     assert not out.indirect.any() and out.direct.any() and out.emitted.any()
+
+
+def seen_from(normal, look, rows=20, cols=50, count=100):
+    """Mean gradients (3,) by rotation and translation of points with one normal; `look` gives radiance and distance along directions."""
+    rng = np.random.default_rng(1)
+    n = np.tile(np.float32(normal) / np.linalg.norm(normal).astype(np.float32), (count, 1))
+    x, y = frame_rows(n)
+    local, _ = hemisphere(rows, cols, rng, count)
+    w = local[..., :1] * x[:, None, None] + local[..., 1:2] * y[:, None, None] + local[..., 2:] * n[:, None, None]
+    radiance, distance = look(w)
+    found = gradients(np.repeat(radiance[..., None], 3, axis=3).astype(np.float32), distance.astype(np.float32), local, x, y)
+    return tuple(g[:, 0].mean(axis=0) for g in found)
+
+
+@pytest.mark.parametrize("normal", [(0, 0, 1), (0.6, 0, 0.8), (-0.3, 0.5, -0.7)])
+def test_rotation_gradient_in_radiance_that_varies_with_direction(normal):
+    """Radiance 1 + a . w gives irradiance pi + 2 pi / 3 a . n, whose slope over a turn r = n x n' is 2 pi / 3 n x a."""
+    a = np.array([0.6, -0.2, 0.3])
+    turn, move = seen_from(normal, lambda w: (1 + w @ a, np.full(w.shape[:3], 1e9)))
+    n = np.array(normal) / np.linalg.norm(normal)
+    assert turn == pytest.approx(2 * np.pi / 3 * np.cross(n, a), abs=0.01)
+    assert np.abs(move).max() < 1e-6
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.4])
+def test_translation_gradient_below_half_a_ceiling(tilt):
+    """A ceiling of radiance 1 at height 1 over x > 0.2. On a level floor E = pi / 2 (1 + s / sqrt(1 + s^2)) at s = x - 0.2; on a floor that
+    is tilted in x, moving by d is moving level by d cos and up by d sin, and what is seen is cut off at angles alone."""
+
+    def look(w):
+        t = 1 / np.maximum(w[..., 2], 1e-6)
+        return np.where((w[..., 2] > 0) & (w[..., 0] * t > 0.2), 1.0, 0.0), np.where(w[..., 2] > 0, t, 1e9)
+
+    def irradiance(x, z):
+        # A strip at infinity in y: E = pi / 2 (sin b - sin a) over its angles from the normal (Hottel).
+        edge, far = np.arctan2(0.2 - x, 1 - z) + tilt, np.pi / 2
+        return np.pi / 2 * (np.sin(min(far + tilt, np.pi / 2)) - np.sin(edge))
+
+    d = 1e-4
+    along = np.array([np.cos(tilt), 0, np.sin(tilt)]) * d
+    want = (irradiance(along[0], along[2]) - irradiance(-along[0], -along[2])) / (2 * d)
+    _, move = seen_from((-np.sin(tilt), 0, np.cos(tilt)), look)
+    assert move @ along / d == pytest.approx(want, rel=0.02)
+    assert abs(move[1]) < 0.01
+
+
+def ball_in_a_room(a):
+    """A smooth black ball, small in a big round room of emission 1 / pi whose albedo is (1 + a . w) / 2 in direction w: receivers on the
+    ball, and their irradiance of one reflection, (1 + 2 / 3 a . n) / 2."""
+    vertices, triangles = scenes.icosphere(4)
+    middle = vertices[triangles].mean(axis=1)
+    albedo = np.round(100 * (1 + middle @ a / np.linalg.norm(middle, axis=1))).astype(int)
+    values, which = np.unique(albedo, return_inverse=True)
+    b = SceneBuilder()
+    b.mesh("Room", vertices, triangles[:, ::-1], [diffuse(f"Wall{k}", k / 200, 1 / np.pi) for k in values], which=which.ravel())
+    vertices, small = scenes.icosphere(3)
+    b.mesh("Ball", 0.01 * vertices, small, diffuse("Ball", 0.0), smooth_normals=vertices)
+    world = World(b.build())
+    ball = np.arange(world.triangle_count) >= len(triangles)
+    receivers = solving.scattered(world, 600, seed=3, triangles=ball)
+    normal = world.surface(receivers.triangle, receivers.u, receivers.v).ns
+    return world, receivers, 0.5 * (1 + 2 / 3 * normal @ a)
+
+
+def test_gradients_on_a_ball_follow_its_normal():
+    world, receivers, want = ball_in_a_room(np.array([0.6, 0.3, -0.5]))
+
+    def error(**settings):
+        found = bake(world, receivers, rays=1024, min_spacing=1e-5, light_samples=1, max_length=2, seed=1, **settings).indirect[:, 0]
+        return float(np.sqrt(((found - want) ** 2).mean()) / want.mean())
+
+    flat, bent = error(gradients=False), error()
+    assert bent < 0.02 and bent < 0.5 * flat
+
+
+def test_the_seed_reaches_direct_light_and_the_error_that_is_stated_is_that_of_repeats():
+    world = World(scenes.cornell())
+    receivers = quad_points(*grid(12), each=4)
+    runs = [solving.solve("irradiance_cache", world, receivers, seed=k, rays=64, light_samples=3) for k in range(6)]
+    assert len({r.direct.tobytes() for r in runs}) == len({r.indirect.tobytes() for r in runs}) == len(runs)
+    total = np.array([r.quantity("irradiance").sum(axis=1) for r in runs], float)
+    true = np.sqrt(total.var(axis=0, ddof=1).mean()) / total.mean()
+    stated = np.sqrt(np.mean([r.history[-1][1] ** 2 for r in runs]))
+    assert stated == pytest.approx(true, rel=0.3)

@@ -81,13 +81,19 @@ class ElementAnswer:
     """Evaluates element solutions at receivers; their points are found once and kept for every later partial result.
 
     Run `prepare()` to its end, then call `parts()` as often as wanted. With `gather`, direct light is evaluated at every
-    receiver point instead of taken from the elements.
+    receiver point instead of taken from the elements; `seed` begins its random numbers.
     """
 
     def __init__(
-        self, elements: Elements, receivers: Receivers, gather: Gather | None = None, min_length: int = 0, max_length: int = 1 << 30
+        self,
+        elements: Elements,
+        receivers: Receivers,
+        gather: Gather | None = None,
+        min_length: int = 0,
+        max_length: int = 1 << 30,
+        seed: Sequence[int] = (),
     ) -> None:
-        self.elements = elements
+        self.elements, self.seed = elements, seed
         self.receivers = receivers
         self.identity = receivers.kind == "elements" and getattr(receivers, "elements", None) is elements
         self.emission = min_length == 0
@@ -139,7 +145,7 @@ class ElementAnswer:
         direct = np.zeros((len(triangle), 3), np.float32)
         if self.gather is not None and len(triangle):
             # A generator for each chunk, so that neither threads nor order change the result.
-            direct, cast = self.gather(surface, np.random.default_rng([7, index]))
+            direct, cast = self.gather(surface, np.random.default_rng([*self.seed, 7, index]))
             rays += cast
             if radiance:
                 direct = direct * albedo / np.float32(np.pi)

@@ -6,7 +6,7 @@ only when its result is asked for, as that may cost much.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -123,18 +123,21 @@ class RadiosityRun(ElementRun):
     """One solve on diffuse elements: with irradiance of element sides, and direct light where the settings want it.
 
     answer   from the elements to the receivers; lamps: light of lamps and background on the elements
+    seed     begins the random numbers of both; empty for deterministic methods, which have always the same
     """
 
-    def __init__(self, solver: Solver, world: World, receivers: Receivers, settings: RadiositySettings) -> None:
+    def __init__(self, solver: Solver, world: World, receivers: Receivers, settings: RadiositySettings, seed: Sequence[int] = ()) -> None:
         super().__init__(solver, world, receivers, settings)
-        self.lamps = LampLight(self.elements, self.emitters, settings.light_samples)
+        self.seed = seed
+        self.lamps = LampLight(self.elements, self.emitters, settings.light_samples, seed=seed)
         self.answer = self.answer_at(receivers)
         self.find = self._lamps_alone
 
     def answer_at(self, receivers: Receivers) -> ElementAnswer:
         """Answers of the elements at other receivers."""
         s = self.settings
-        return ElementAnswer(self.elements, receivers, receiver_light(self.world, self.emitters, s), s.min_length, s.max_length)
+        gather = receiver_light(self.world, self.emitters, s)
+        return ElementAnswer(self.elements, receivers, gather, s.min_length, s.max_length, self.seed)
 
     def _lamps_alone(self, partial: bool) -> Found:
         """Before anything is solved: what lamps and background give, which is of length 1."""

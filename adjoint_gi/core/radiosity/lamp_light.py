@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -32,14 +32,22 @@ def receiver_light(world: World, emitters: Emitters, settings: RadiositySettings
 
 
 class LampLight:
-    """Mean irradiance that lamps and background cause on every element side, from fixed points and fixed random numbers.
+    """Mean irradiance that lamps and background cause on every element side, from fixed points and random numbers that `seed` begins.
 
     With `mesh` that of emitting faces as well. `sides` (m,): only on these.
     irradiance   (2 ne, 3) float64 W m-2, complete when `run` has ended; rays: cast for it
     """
 
-    def __init__(self, elements: Elements, emitters: Emitters, samples: int, mesh: bool = False, sides: np.ndarray | None = None) -> None:
-        self.elements = elements
+    def __init__(
+        self,
+        elements: Elements,
+        emitters: Emitters,
+        samples: int,
+        mesh: bool = False,
+        sides: np.ndarray | None = None,
+        seed: Sequence[int] = (),
+    ) -> None:
+        self.elements, self.seed = elements, seed
         self.mesh = mesh
         self.sides = np.arange(2 * elements.count) if sides is None else sides
         self.emitters = emitters
@@ -60,7 +68,7 @@ class LampLight:
             a, b, _, _ = shifted_points(np.tile(np.arange(self.points), len(sides)), owner)
             surface = self.elements.surface(owner, a, b)
             light, rays = direct_irradiance(
-                self.elements.world, self.emitters, surface, 1, np.random.default_rng([3, first]), mesh=self.mesh
+                self.elements.world, self.emitters, surface, 1, np.random.default_rng([*self.seed, 3, first]), mesh=self.mesh
             )
             return sides, light.reshape(len(sides), self.points, 3).mean(axis=1, dtype=np.float64), rays
 

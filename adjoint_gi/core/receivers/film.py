@@ -30,14 +30,20 @@ class Film:
         self._groups = np.zeros(n, np.int32)
         self._squares = np.zeros(n)
 
-    def add(self, receivers: slice, samples: int, direct: np.ndarray, indirect: np.ndarray) -> None:
-        """Sums over one group of `samples` samples of each of the receivers, (m, 3) each."""
+    def add(self, receivers: slice, samples: int, direct: np.ndarray, indirect: np.ndarray, spread: np.ndarray | None = None) -> None:
+        """Sums over one group of `samples` samples of each of the receivers, (m, 3) each.
+
+        With `spread` over two, whose means are the mean of both and, one more and one less, `spread / samples`.
+        """
         self.direct[receivers] += direct
         self.indirect[receivers] += indirect
         self.count[receivers] += samples
         self._groups[receivers] += 1
         total = (direct + indirect).sum(axis=1, dtype=np.float64)
         self._squares[receivers] += total * total / samples
+        if spread is not None:
+            self._groups[receivers] += 1
+            self._squares[receivers] += spread.sum(axis=1, dtype=np.float64) ** 2 / samples
 
     def mean(self, sums: np.ndarray) -> np.ndarray:
         """(n, 3) float32 means; 0 where there is no sample."""

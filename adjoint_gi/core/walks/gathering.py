@@ -7,7 +7,7 @@ partial results, error history - is the same for all and done here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields
 
@@ -37,7 +37,8 @@ Place = Callable[[np.ndarray, np.ndarray, np.random.Generator], tuple[Points, Es
 class Sums:
     """Sums over the samples of receivers `first` to `last`, each (m, 3); emitted and albedo only of camera receivers.
 
-    samples: of each receiver, one number or (m,). spoiled: how many were not numbers and count as 0.
+    samples: of each receiver, one number or (m,). spoiled: how many were not numbers and count as 0. spread (m, 3): of one half of the
+    random numbers less both, where it is known.
     """
 
     first: int
@@ -49,6 +50,7 @@ class Sums:
     albedo: np.ndarray | None
     rays: int
     spoiled: int = 0
+    spread: np.ndarray | None = None
 
 
 # Makes the sums of (first receiver, last, samples, index of the first sample).
@@ -129,26 +131,30 @@ class Run:
         yield from self._rest(reading, 1.0)
         yield from self.finish(f"{samples} samples")
 
-    def fixed_points(self, estimate: Estimate, batch: int = SAMPLES_PER_BATCH) -> Iterator[Step]:
-        """Every receiver's fixed points once, `batch` at a time: for methods without random numbers.
+    def fixed_points(self, estimate: Estimate, batch: int = SAMPLES_PER_BATCH, seed: Sequence[int] = ()) -> Iterator[Step]:
+        """Every receiver's fixed points once, `batch` at a time: for methods that need no random places.
 
-        `estimate` gets a generator of fixed seed.
+        `estimate` gets a generator of its own for each batch; `seed` begins them all.
         """
 
         def work(item: tuple[int, Points]) -> Sums:
             index, points = item
-            generator = np.random.default_rng([11, index])
+            generator = np.random.default_rng([*seed, 11, index])
             first, last = int(points.receiver.min()), int(points.receiver.max()) + 1
             many = np.bincount(points.receiver - first, minlength=last - first)
             return self._evaluate(points, first, last, many, estimate, generator)
 
         yield from self._rest(self._reading(not self.is_camera), 0.0)
         with closing(in_order(work, enumerate(sliced(self.receivers.sites(), batch)))) as results:
+            spread = False
             for sums in results:
                 self._add(sums)
+                spread |= sums.spread is not None
                 if self.clock.due():
                     share = sums.last / self.receivers.count
                     yield from self.clock.pause(Step(min(share, 0.999), f"{share:.0%} of the receivers", self.solution))
+        if spread:
+            self.measure()
         yield from self.finish("all receivers")
 
     def measure(self) -> None:
@@ -198,11 +204,12 @@ class Run:
             sums += [total(emitted, owner), total(self.world.albedo(surface), owner[on])]
         else:
             sums += [None, None]
-        return Sums(first, last, many, *sums, points.rays + found.rays)
+        spread = None if found.spread is None else total(np.where(np.isfinite(found.spread), found.spread, 0), owner[on])
+        return Sums(first, last, many, *sums, points.rays + found.rays, spread=spread)
 
     def _add(self, sums: Sums) -> None:
         part = slice(sums.first, sums.last)
-        self.film.add(part, sums.samples, sums.direct, sums.indirect)
+        self.film.add(part, sums.samples, sums.direct, sums.indirect, sums.spread)
         if self.is_camera:
             self.film.emitted[part] += sums.emitted
             self.film.albedo[part] += sums.albedo

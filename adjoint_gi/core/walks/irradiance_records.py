@@ -22,12 +22,13 @@ LARGE = np.float32(1e12)
 @dataclass(frozen=True, eq=False)
 class Records:
     """k records: position, normal, irradiance (k, 3); radius (k,), metres; gradients (k, 3 channels, 3 axes) by
-    rotation and translation.
+    rotation and translation. spread (k, 3): irradiance by one half of the rays less that by both, which shows its noise.
     """
 
     position: np.ndarray
     normal: np.ndarray
     irradiance: np.ndarray
+    spread: np.ndarray
     radius: np.ndarray
     rotation: np.ndarray
     translation: np.ndarray
@@ -36,7 +37,7 @@ class Records:
     def empty() -> Records:
         """No records."""
         z = np.zeros((0, 3), np.float32)
-        return Records(z, z, z, np.zeros(0, np.float32), np.zeros((0, 3, 3), np.float32), np.zeros((0, 3, 3), np.float32))
+        return Records(z, z, z, z, np.zeros(0, np.float32), np.zeros((0, 3, 3), np.float32), np.zeros((0, 3, 3), np.float32))
 
     def joined(self, other: Records) -> Records:
         """Both together."""
@@ -113,8 +114,8 @@ class RecordIndex:
         out[self.pairs(position, normal)[0]] = True
         return out
 
-    def irradiance(self, position: np.ndarray, normal: np.ndarray, gradients: bool) -> tuple[np.ndarray, np.ndarray]:
-        """(n, 3) float32 irradiance and (n,) bool where it is known."""
+    def irradiance(self, position: np.ndarray, normal: np.ndarray, gradients: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(n, 3) float32 irradiance, (n, 3) float32 its `spread`, and (n,) bool where it is known."""
         point, record, weight = self.pairs(position, normal)
         r = self.records
         value = r.irradiance[record]
@@ -125,8 +126,22 @@ class RecordIndex:
             value = np.maximum(value, 0)
         n = len(position)
         total = np.bincount(point, weight, n)
-        out = np.stack([np.bincount(point, weight * value[:, c], n) for c in range(3)], axis=1)
-        return (out / np.maximum(total, 1e-30)[:, None]).astype(np.float32), total > 0
+        share = (weight / np.maximum(total, 1e-30)[point]).astype(np.float32)
+
+        def mean(values: np.ndarray) -> np.ndarray:
+            return np.stack([np.bincount(point, share * values[:, c], n) for c in range(3)], axis=1).astype(np.float32)
+
+        return mean(value), mean(r.spread[record]), total > 0
+
+
+def halves(values: np.ndarray) -> np.ndarray:
+    """(n, c) mean over one half of the cells of values (n, rows, cols, c), those of one colour of a chess board, less the mean of both.
+
+    Both halves lie evenly over the hemisphere, so that what they differ by is noise: of the mean its standard error, in the mean square.
+    """
+    _, rows, cols, _ = values.shape
+    sign = np.where(np.add.outer(np.arange(rows), np.arange(cols)) % 2, np.float32(-1), np.float32(1))
+    return np.einsum("jk,njkc->nc", sign, values) / np.float32(rows * cols)
 
 
 def hemisphere(rows: int, cols: int, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -148,9 +163,11 @@ def gradients(radiance: np.ndarray, distance: np.ndarray, local: np.ndarray, x: 
     middle = (np.arange(cols) + 0.5) * 2 * np.pi / cols
     edge = np.arange(cols) * 2 * np.pi / cols
 
-    # Rotation: pi / (M N) sum_k v_k sum_j -tan(theta_j) L_jk, with v_k a quarter turn beyond phi_k.
-    tangent = np.sqrt(local[..., 0] ** 2 + local[..., 1] ** 2) / np.maximum(local[..., 2], np.float32(1e-3))
-    per_col = -(tangent[..., None] * radiance).sum(axis=1) * (np.pi / (rows * cols))
+    # Rotation: int L (n x w) dw = pi / (M N) sum_k v_k sum_j tan(theta_j) L_jk, with v_k = n x u_k a quarter turn beyond phi_k, dotted
+    # with the turn n_i x n. The tangent is the mean over its row, as it has no bound at the horizon.
+    x2 = np.arange(rows + 1) / rows
+    tangent = rows * np.diff(np.arcsin(np.sqrt(x2)) - np.sqrt(x2 * (1 - x2)))
+    per_col = np.einsum("j,njkc->nkc", tangent, radiance) * (np.pi / (rows * cols))
     v = np.stack([-np.sin(middle), np.cos(middle)])
     turn = np.einsum("nkc,ak->nca", per_col, v)
 

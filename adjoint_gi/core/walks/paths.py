@@ -91,15 +91,19 @@ class Walk:
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """Radiance towards `wo`, (n, 3) float32: `direct` of path length 1, `indirect` of more; rays cast."""
+    """Radiance towards `wo`, (n, 3) float32: `direct` of path length 1, `indirect` of more; rays cast.
+
+    spread (n, 3): the estimate by one half of the random numbers less that by both, where a method knows it.
+    """
 
     direct: np.ndarray
     indirect: np.ndarray
     rays: int
+    spread: np.ndarray | None = None
 
     def times(self, factor: np.float32) -> Gathered:
         """The same light times `factor`."""
-        return Gathered(self.direct * factor, self.indirect * factor, self.rays)
+        return Gathered(self.direct * factor, self.indirect * factor, self.rays, None if self.spread is None else self.spread * factor)
 
     def plus(self, other: Gathered) -> Gathered:
         """Both together, at the same points."""
