@@ -179,7 +179,7 @@ class CacheRun:
 
     def _make(self, surface: Surface, rng: np.random.Generator) -> tuple[Records, int]:
         """Records at some points, and the rays cast for them."""
-        s, size = self.settings, self.world.size
+        s, size = self.settings, self.world.extent
         x, y = frame_rows(surface.ns)
         local, _ = hemisphere(self.rows, self.cols, rng, len(x))
         radiance, distance, rays = self._look(surface, local, x, y, rng)
@@ -213,7 +213,7 @@ class CacheRun:
         hit = np.flatnonzero((triangle >= 0) & up)
         there = world.surface(triangle[hit], u[hit], v[hit], -direction[hit])
         found = gather(self.walk, there, lobes_of(self.walk, there, -direction[hit]), rng, first_length=2)
-        radiance, distance = np.zeros((len(direction), 3), np.float32), np.full(len(direction), 4 * world.size, np.float32)
+        radiance, distance = np.zeros((len(direction), 3), np.float32), np.full(len(direction), 4 * world.extent, np.float32)
         radiance[hit] = found.indirect
-        distance[hit] = np.maximum(t[hit], np.float32(1e-6 * world.size))
+        distance[hit] = np.maximum(t[hit], np.float32(1e-6 * world.extent))
         return radiance.reshape(*shape, 3), distance.reshape(shape), len(direction) + found.rays

@@ -119,8 +119,8 @@ BUGS = (
     Bug(
         "ray offset does not grow with the scene",
         "adjoint_gi/core/scene/world.py",
-        "        self.offset = OFFSET * self.size",
-        "        self.offset = 1e-9",
+        "        self.offset = clearance(corners[:, 0], e1, e2, normal)",
+        "        self.offset = np.full(len(e1), 1e-9, np.float32)",
         "tests/methods/test_path_tracing.py -k furnace",
     ),
     Bug(

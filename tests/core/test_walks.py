@@ -43,7 +43,7 @@ def test_diffuse_vertices_and_those_with_lobes_find_the_same(survival):
     rng = np.random.default_rng(2)
     numbers = Numbers(rng.random((VERTEX * STRATIFIED, N), np.float32))
     ng, weight = columns(surface.ng), np.full((3, N), PI)
-    plain = DiffuseVertices(walk, columns(surface.position), ng, ng, numbers.at(np.arange(N), rng), numbers)
+    plain = DiffuseVertices(walk, columns(world.leave(surface)), ng, ng, numbers.at(np.arange(N), rng), numbers)
     fast = follow(Paths(walk, plain, rng, weight=weight, unit=1 / PI))
     (a, da), (b, db) = mean_and_error(general), mean_and_error(fast)
     assert (np.hypot(da, db) < 0.02 * a).all()

@@ -31,7 +31,7 @@ class DirectionalRays(ElementRays):
         fold = ~self.elements.is_quad[side >> 1] & (a + b > 1)
         a, b = np.where(fold, 1 - a, a), np.where(fold, 1 - b, b)
         origin = rows[:, 0:3] + a[:, None] * rows[:, 3:6] + b[:, None] * rows[:, 6:9]
-        return self.world.lifted(origin, self.frames[side, 2])
+        return self.world.lifted(origin, self.frames[side, 2], self._triangle[side >> 1])
 
     def to_world(self, side: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Directions `w` (n, 3) of the sides' frames in the world."""

@@ -113,7 +113,7 @@ class Elements:
         Where a scene is finer than that already, half of `target` is left to cut its large faces, or a ground would be one element.
         """
         target = max(target, len(self.patch_triangle) + target // 2)
-        low, high = np.log(1e-6 * self.world.size), np.log(8.0 * self.world.size)
+        low, high = np.log(1e-6 * self.world.extent), np.log(8.0 * self.world.size)
         for _ in range(30):
             middle = 0.5 * (low + high)
             if self._total(*self._divisions(np.exp(middle))) > target:

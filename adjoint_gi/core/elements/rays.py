@@ -40,6 +40,7 @@ class ElementRays:
         t1 = along / np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
         t2 = np.cross(elements.normal, t1)
         self._rows = np.concatenate([corner, along, across, t1, t2, elements.normal], axis=1).astype(np.float32)
+        self._triangle = elements.patch_triangle[elements.patch]
         self._normals = np.ascontiguousarray(self.world.rows[:, 9:12])
 
     def start(self, side: np.ndarray, number: np.ndarray, stream: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -52,7 +53,8 @@ class ElementRays:
         fold = ~self.elements.is_quad[element] & (a + b > 1)
         a, b = np.where(fold, 1 - a, a), np.where(fold, 1 - b, b)
         normal = rows[:, 15:18] * sign[:, None]
-        origin = self.world.lifted(rows[:, 0:3] + a[:, None] * rows[:, 3:6] + b[:, None] * rows[:, 6:9], normal)
+        position = rows[:, 0:3] + a[:, None] * rows[:, 3:6] + b[:, None] * rows[:, 6:9]
+        origin = self.world.lifted(position, normal, self._triangle[element])
         x, y, z = polar(u[2], TWO_PI * u[3])[:, :, None]
         direction = x * rows[:, 9:12] + y * rows[:, 12:15]
         direction += z * normal

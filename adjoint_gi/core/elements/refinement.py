@@ -143,7 +143,7 @@ class RefinedNodes(Nodes):
         _, first = np.unique(node, return_index=True)
         keep = np.sort(first)
         self.hanging = node[keep], low[keep], high[keep], share[keep].astype(np.float32)
-        cut = np.flatnonzero(np.diff(length[keep]) < -1e-9 * self.elements.world.size) + 1
+        cut = np.flatnonzero(np.diff(length[keep]) < -1e-9 * self.elements.world.extent) + 1
         self.groups = np.split(np.arange(len(keep)), cut) if len(keep) else []
 
     def values(self, values: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 from ..scene.world import World
 
 SAME_NORMAL = float(np.cos(np.radians(1.0)))  # nodes whose shading normals differ by more are a hard edge
-SAME_PLACE = 2e-6  # relative to the size of the world
+SAME_PLACE = 2e-6  # relative to the extent of the world
 
 
 class GriddedElements(Protocol):
@@ -93,7 +93,7 @@ class Nodes:
         if not len(position):
             return np.zeros(0, np.int64)
         # The odd shift keeps round coordinates away from the rounding limit.
-        cell = np.round(position / (SAME_PLACE * self.elements.world.size) + 0.3719).astype(np.int64)
+        cell = np.round(position / (SAME_PLACE * self.elements.world.extent) + 0.3719).astype(np.int64)
         _, place = np.unique(cell, axis=0, return_inverse=True)
         place = place.reshape(-1)
         shared = np.full(len(place), -1, np.int64)

@@ -20,7 +20,7 @@ from ..scene.world import World
 
 FAR = np.float32(1e30)  # distance of what is infinitely far
 INF = np.float32(np.inf)
-SMALLEST_LAMP = 0.05  # of the scene's size: rays drawn by the cosine hardly ever meet smaller ones
+SMALLEST_LAMP = 0.05  # of the scene's extent: rays drawn by the cosine hardly ever meet smaller ones
 LEAST_SOLID = 1e-6
 
 
@@ -179,7 +179,7 @@ class LampKind(LightKind):
 
     def large(self) -> np.ndarray:
         """(k,) bool: whether rays drawn by the cosine meet it often enough to be worth a test."""
-        return self.extent >= SMALLEST_LAMP * self.world.size
+        return self.extent >= SMALLEST_LAMP * self.world.extent
 
     def seen(self, i: int, o: np.ndarray, w: np.ndarray, distance: np.ndarray) -> Seen:
         """Rays from `o` along unit `w` (3, n) that pass through lamp `i` before `distance` (n,), inf where they escape."""
@@ -212,4 +212,4 @@ def bounding_radius(world: World) -> float:
     if not len(rows):
         return 1.0
     corners = np.concatenate([rows[:, 0:3], rows[:, 0:3] + rows[:, 3:6], rows[:, 0:3] + rows[:, 6:9]])
-    return float(np.linalg.norm(corners.astype(np.float64), axis=1).max()) * (1 + 1e-5) + 4 * world.offset
+    return float(np.linalg.norm(corners.astype(np.float64), axis=1).max()) * (1 + 1e-5) + 4 * float(world.offset.max())

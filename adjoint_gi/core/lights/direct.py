@@ -160,7 +160,7 @@ def direct_irradiance(
     faces = Faces(world) if met else None
     for a in range(0, n, POINTS_PER_BATCH):
         part = slice(a, min(a + POINTS_PER_BATCH, n))
-        origin = columns(world.lifted(surface.position[part], surface.ng[part]))
+        origin = columns(world.lifted(surface.position[part], surface.ng[part], surface.triangle[part]))
         ng = columns(surface.ng[part])
         ns = ng if surface.ns is surface.ng else columns(surface.ns[part])
         total = np.zeros((3, origin.shape[1]))

@@ -59,22 +59,21 @@ class MeshLights(LightKind):
     # ---- gathering
 
     def sample(self, i: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> Sample:
-        """Uniform points on the triangles, moved off them towards `p`, so that a shadow ray to them ends before it hits them."""
+        """Uniform points on the triangles; shadow rays end before they hit them."""
         a, b = sampling.triangle(u, v)
         to = points(self._corner, self._e1, self._e2, i, a, b)
         to -= p
-        ng = self._ng.take(i, axis=1)
-        to = self.world.lifted(to, ng, -np.copysign(np.float32(1), dot(to, ng)))
         distance = np.sqrt(dot(to, to))
         to /= np.maximum(distance, np.float32(1e-20))
-        cosine = np.abs(dot(to, ng))
+        cosine = np.abs(dot(to, self._ng.take(i, axis=1)))
         constant = self._radiance is not None
         radiance = self._radiance.take(i, axis=1) if constant else columns(self.world.shading.emission(self.triangles[i], a, b))
         pdf = self._density.take(i)
         pdf *= distance
         pdf *= distance
         pdf /= np.maximum(cosine, np.float32(1e-6))
-        return Sample(to, distance, radiance, np.maximum(pdf, np.float32(1e-20)))
+        free = self.world.short_of(distance, self.triangles.take(i), cosine)
+        return Sample(to, free, radiance, np.maximum(pdf, np.float32(1e-20)))
 
     def radiance(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(3, n) float32 that rays see which hit triangles of the world at barycentrics `u`, `v` (n,), from either side."""
@@ -197,7 +196,7 @@ class Cells:
         normal = surface.ng * side[:, None]
         # Step 3: cosine distributed about the normal.
         direction = cosine_directions(normal, 2 * square[:, 2] - ~front, square[:, 3])
-        origin = self.world.lifted(surface.position, normal)
+        origin = self.world.lifted(surface.position, normal, surface.triangle)
         return Rays(origin, direction, self._emission_at(self.triangle[cell], u, v) * self.full[cell, None])
 
 

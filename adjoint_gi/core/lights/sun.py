@@ -34,7 +34,7 @@ class SunLights(LampKind):
 
     def rough_solid(self, i: int) -> float:
         """What falls on the scene rather than passes by: a disk of the scene's size, m2."""
-        return math.pi * self.world.size**2
+        return math.pi * self.world.extent**2
 
     def solid(self, i: int) -> float:
         """Cross-section of the sphere around the scene, times what the tilt of the disk's rim adds, m2."""

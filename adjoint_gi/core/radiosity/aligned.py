@@ -11,6 +11,7 @@ from ..base.parallel import in_order
 from ..elements.elements import Elements
 from ..sampling.additive import STEPS, additive
 from ..scene.arrays import RayKind
+from ..scene.world import SHORT
 from .form_factors import parallel_exchange, perpendicular_exchange
 
 ALIGNED = 1e-6  # sine of the largest angle between axes that count as common
@@ -51,7 +52,7 @@ class AlignedSides:
         # The plane's own coordinate is the same at all corners but for rounding.
         self.plane = corners[row, :, self.axis].mean(axis=1) if len(sides) else np.zeros(0)
         self.low[row, self.axis] = self.high[row, self.axis] = self.plane
-        self.tiny = 1e-7 * elements.world.size
+        self.tiny = 1e-7 * elements.world.extent
 
     def facing(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """(n,) bool: some of j lies in front of i and some of i in front of j, and both are rectangles of one frame."""
@@ -133,7 +134,9 @@ def exact_pairs(elements: Elements, sides: np.ndarray) -> Iterator[ExactPairs]:
 
     near, far = points(a, b), points(b[::-1], a)
     world = elements.world
-    start, end = (world.lifted(place, aligned.normal[:, None]).astype(np.float32) for place in (near, far))
+    triangle = elements.patch_triangle[elements.patch[sides >> 1]]
+    start, end = (world.lifted(place, aligned.normal[:, None], triangle[:, None]).astype(np.float32) for place in (near, far))
+    short = np.float32(1) - SHORT  # of the way, so that rays end before their target
     normal = aligned.normal.astype(np.float32)
 
     def work(rows: np.ndarray) -> ExactPairs:
@@ -149,7 +152,7 @@ def exact_pairs(elements: Elements, sides: np.ndarray) -> Iterator[ExactPairs]:
             direction = end[j, test] - origin
             # A point behind the other's plane is in the part that does not count.
             front = (np.einsum("ij,ij->i", direction, normal[i]) > 0) & (np.einsum("ij,ij->i", direction, normal[j]) < 0)
-            hidden = world.occluded(origin, direction, np.ones(len(i), np.float32), RayKind.DIFFUSE) & front
+            hidden = world.occluded(origin, direction, np.full(len(i), short), RayKind.DIFFUSE) & front
             rays += len(i)
             seen |= front
             if hidden.any():

@@ -166,5 +166,5 @@ def elsewhere(
     """(n,) bool: whether two claims of one place are different surfaces: apart by 1e-5 of the scene, or facing another way."""
     first = world.surface(triangle[i], ui.astype(np.float32), vi.astype(np.float32))
     second = world.surface(triangle[j], uj.astype(np.float32), vj.astype(np.float32))
-    apart = np.linalg.norm(first.position - second.position, axis=1) > 1e-5 * world.size
+    apart = np.linalg.norm(first.position - second.position, axis=1) > 1e-5 * world.extent
     return apart | (np.einsum("ij,ij->i", first.ng, second.ng) < 0.99)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..sampling.maps import columns, dot
 from .normals import shading_normals
-from .world import World
+from .world import SHORT, World
 
 
 class Faces:
@@ -42,6 +42,11 @@ class Faces:
     def positions(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(3, n) float32 points at barycentrics (u, v)."""
         return points(self._corner, self._e1, self._e2, triangle, u, v)
+
+    def lifted(self, position: np.ndarray, normal: np.ndarray, triangle: np.ndarray, flown: np.ndarray | None = None) -> np.ndarray:
+        """`World.lifted` of columns, (3, n) float32; further off where the position comes from a ray's length `flown` (n,)."""
+        off = self.world.offset.take(triangle)
+        return position + normal * (off if flown is None else off + SHORT * flown)
 
     def albedo_at(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(3, n) float32 diffuse reflectance."""

@@ -11,11 +11,12 @@ from embreex.rtcore_scene import EmbreeScene
 from ..sampling.maps import ONE
 from .arrays import RayKind, SceneArrays
 from .normals import shading_normals
+from .precision import STEP, clearance, near_box
 from .shading import Shading
 
-# Rays leave a surface this far off it, relative to the largest coordinate after recentring: about ten float32 steps.
-# Embree's `tnear` is fixed at 0 in embreex, so the offset is the only guard against hitting the surface just left.
-OFFSET = 2e-6
+# Shadow rays end this share of their length, and the clearance of the triangle, before the triangle that they are cast to: Embree rounds
+# corners relative to the ray's origin.
+SHORT = np.float32(4 * STEP)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +45,10 @@ class World:
 
     scene       the arrays it was made from
     center      (3,) float64 of the recentred origin in world space
-    size        largest distance of a vertex from the centre, metres
-    offset      how far a ray starts off its surface, metres
+    size        largest coordinate of a vertex, metres
+    extent      the same of what is near the centre, without backdrops and what is lost far away: the measure for what is small
+    offset      (nt,) float32 how far rays start off each triangle, metres. Embree's `tnear` is fixed at 0 in embreex, so it is the only
+                guard against hitting the surface just left
     area        (nt,) float64 triangle areas
     """
 
@@ -54,9 +57,9 @@ class World:
         vertices = np.asarray(scene.vertices, np.float64)
         triangles = np.asarray(scene.triangles, np.int32)
         used = vertices[np.unique(triangles)] if len(triangles) else np.zeros((1, 3))
-        self.center = 0.5 * (used.min(axis=0) + used.max(axis=0))
+        low, high = near_box(vertices[triangles], np.asarray(scene.object))
+        self.center, self.extent = 0.5 * (low + high), float(0.5 * (high - low).max()) or 1.0
         self.size = float(np.abs(used - self.center).max()) or 1.0
-        self.offset = OFFSET * self.size
 
         # Everything a hit needs lies in one row, so that a batch of hits is one gather: v0, e1, e2, ng.
         corners = (vertices - self.center)[triangles]
@@ -65,6 +68,7 @@ class World:
         length = np.linalg.norm(cross, axis=1)
         self.area = 0.5 * length
         normal = cross / np.maximum(length, 1e-300)[:, None]
+        self.offset = clearance(corners[:, 0], e1, e2, normal)
         self.rows = np.ascontiguousarray(np.concatenate([corners[:, 0], e1, e2, normal], axis=1), np.float32)
         self.corner_normals = np.asarray(scene.corner_normals, np.float32)
         self.smooth = np.asarray(scene.smooth, bool)
@@ -161,15 +165,17 @@ class World:
 
     def leave(self, surface: Surface, through: np.ndarray | None = None) -> np.ndarray:
         """(n, 3) float32 origins of rays that leave `surface` on the side of its `ng`, or on the other where `through` (n,) bool."""
-        side = ONE if through is None else np.where(through[:, None], -ONE, ONE)
-        return self.lifted(surface.position, surface.ng, side)
+        side = ONE if through is None else np.where(through, -ONE, ONE)
+        return self.lifted(surface.position, surface.ng, surface.triangle, side)
 
-    def lifted(self, position: np.ndarray, normal: np.ndarray, side: np.ndarray | np.float32 = ONE) -> np.ndarray:
-        """`position` moved off its surface along `normal`, against it where `side` is -1: the one place where rays are offset.
+    def lifted(self, position: np.ndarray, normal: np.ndarray, triangle: np.ndarray, side: np.ndarray | np.float32 = ONE) -> np.ndarray:
+        """`position` (..., 3) moved off its `triangle` (...) along `normal`, against it where `side` (...) is -1: the one place where rays
+        are offset, together with `Faces.lifted` for columns."""
+        return position + normal * (side * self.offset[triangle])[..., None]
 
-        Rows or component first.
-        """
-        return position + normal * (side * np.float32(self.offset))
+    def short_of(self, distance: np.ndarray, triangle: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+        """(n,) float32 length of shadow rays of `distance` (n,) to points on `triangle` (n,), met at `cosine` (n,), that end before it."""
+        return np.maximum(distance - (self.offset.take(triangle) + SHORT * distance) / np.maximum(cosine, np.float32(1e-6)), 0)
 
     def albedo(self, surface: Surface) -> np.ndarray:
         """(n, 3) float32 diffuse reflectance, between 0 and 1."""

@@ -35,11 +35,10 @@ class DiffuseVertices:
 
     scale = ONE / PI
 
-    def __init__(self, walk: Walk, position: np.ndarray, ng: np.ndarray, ns: np.ndarray, u: np.ndarray, numbers: Numbers) -> None:
-        """`u` (VERTEX, n): the random numbers of these vertices; `numbers`: where those of later ones come from."""
+    def __init__(self, walk: Walk, origin: np.ndarray, ng: np.ndarray, ns: np.ndarray, u: np.ndarray, numbers: Numbers) -> None:
+        """`origin`: of rays that leave. `u` (VERTEX, n): their random numbers; `numbers`: where those of later ones come from."""
         self.walk, self.ng, self.ns, self.u, self.numbers = walk, ng, ns, u, numbers
-        self.count = position.shape[1]
-        self.origin = walk.world.lifted(position, ng)
+        self.count, self.origin = origin.shape[1], origin
 
     def light_points(self, rng: np.random.Generator, uniform: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, int]:
         """One light point for each: rows (m,) that are lit, irradiance (3, m), shadow rays cast."""
@@ -62,10 +61,12 @@ class DiffuseVertices:
         """The vertices where rays `rows` (m,) of paths `path` (m,) hit."""
         triangle, u, v, t = (a.take(rows) for a in hit)
         w = ray.wi.take(rows, axis=1)
-        position = ray.origin.take(rows, axis=1)
-        position += w * t
-        later = self.numbers.next()
-        return DiffuseVertices(self.walk, position, *self.walk.faces.normals(triangle, u, v, w), later.at(path, rng), later)
+        faces, later = self.walk.faces, self.numbers.next()
+        ng, ns = faces.normals(triangle, u, v, w)
+        origin = ray.origin.take(rows, axis=1)
+        origin += w * t
+        origin = faces.lifted(origin, ng, triangle, t)
+        return DiffuseVertices(self.walk, origin, ng, ns, later.at(path, rng), later)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +130,7 @@ class PathTracer:
             throughput = np.full(position.shape, PI)
             scale = ONE / PI
         later = Numbers(numbers[SITE:, rows])
-        vertices = DiffuseVertices(self.walk, position, ng, ns, later.at(triangle, rng), later)
+        vertices = DiffuseVertices(self.walk, self.faces.lifted(position, ng, triangle), ng, ns, later.at(triangle, rng), later)
         found = self.trace(Paths(self.walk, vertices, rng, weight=throughput, unit=scale))
         lit[0][:, rows], lit[1][:, rows] = found.direct.T, found.indirect.T
         rays = points.rays + found.rays

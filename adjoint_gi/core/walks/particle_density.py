@@ -23,7 +23,7 @@ from ..scene.world import World
 HITS = 100  # particles wanted within a kernel, if they were spread evenly over the scene
 PAIRS = 1 << 20  # pairs of a particle and a receiver point that are looked at together
 FACING = 0.5  # cosine of the largest angle between the normals
-SMALLEST = 1e-4  # kernel radius over the size of the world
+SMALLEST = 1e-4  # kernel radius over the extent of the world
 
 
 class ParticleDensity:
@@ -49,7 +49,7 @@ class ParticleDensity:
             by_particles = np.sqrt(HITS * max(float(world.area.sum()), 1e-300) / (np.pi * max(1, particles)))
             spacing = np.sqrt(object_area / np.maximum(np.bincount(owner, minlength=objects), 1)) if receivers.kind == "texels" else 0.0
             self.radius = np.maximum(spacing, np.minimum(by_particles, np.sqrt(np.maximum(object_area, 1e-300) / np.pi)))
-        self.radius = np.maximum(self.radius, SMALLEST * world.size)
+        self.radius = np.maximum(self.radius, SMALLEST * world.extent)
         self._make_grid(owner)
         # Area points go to the receiving objects only, in proportion to area.
         weight = np.where(self.receives[scene.object], world.area, 0.0)
@@ -75,7 +75,7 @@ class ParticleDensity:
 
     def _make_grid(self, owner: np.ndarray) -> None:
         """Sort the points by cell. Cells of one row lie behind one another, so three neighbours are one stretch of points."""
-        size = self.world.size
+        size = self.world.extent
         self._cells = int(np.ceil(2 * size / self.radius[self.receives].min(initial=size))) + 4
         key = self._key(owner, self.position)
         order = np.argsort(key, kind="stable")
@@ -83,7 +83,7 @@ class ParticleDensity:
 
     def _key(self, owner: np.ndarray, position: np.ndarray) -> np.ndarray:
         """(n,) int64 number of the cell in which points of objects `owner` (n,) lie."""
-        cell = np.floor((position + np.float32(self.world.size)) / self.radius[owner, None]).astype(np.int64) + 1
+        cell = np.floor((position + np.float32(self.world.extent)) / self.radius[owner, None]).astype(np.int64) + 1
         cell = np.clip(cell, 1, self._cells - 2)
         k = self._cells
         return ((owner.astype(np.int64) * k + cell[:, 2]) * k + cell[:, 1]) * k + cell[:, 0]
