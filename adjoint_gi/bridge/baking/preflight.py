@@ -25,6 +25,7 @@ from ..host import files
 from ..host.notices import Notices
 from ..props.request import RECEIVERS, BakeRequest
 from ..results import links as targets
+from ..results import stored
 from ..results.attribute import check_attribute_target
 from ..results.lightmap_uv import MOST, NAME, STORED
 from ..results.show import unhidden
@@ -78,7 +79,14 @@ def look(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
             for obj in objects:
                 notices += check(obj, request)
     notices += _output(request)
+    notices += _damaged()
     return ordered(notices)
+
+
+def _damaged() -> list[Notice]:
+    """What stands under the names of our properties and is not ours."""
+    reason, remedy = "is not as a bake stores it, and counts as absent", "Clear Results with Remove Baked Data removes it"
+    return [Notice(owner, f'its property "{name}" {reason}', remedy) for owner, name in stored.damaged()]
 
 
 def target_objects(context: bpy.types.Context, request: BakeRequest) -> list[bpy.types.Object]:
@@ -285,8 +293,8 @@ def _texture_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]
 
 def has_own_layer(mesh: bpy.types.Mesh) -> bool:
     """Whether the mesh has the UV layer that was made for lightmaps."""
-    name = mesh.get(STORED)
-    return isinstance(name, str) and name in mesh.uv_layers
+    name = stored.read(mesh, STORED)
+    return name is not None and name in mesh.uv_layers
 
 
 def _attribute_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]:

@@ -13,10 +13,11 @@ import numpy as np
 from ...core.base.atomic import require_finite
 from ...core.base.errors import Notice, TargetError, WriteError
 from . import links as targets
+from . import stored
 
 # Custom property of the mesh: key -> JSON list of our attributes, the one written last at the end. Each has the name that was wanted,
 # the name it has, and a checksum of what was written, by which it is found after the user has renamed it.
-STORED = "adjoint_gi_attributes"
+STORED = stored.ATTRIBUTES
 OBJECT = "object"  # key of the link to the separate result object
 # Modifiers that move vertices or change data but never add, remove or reorder any.
 KEEPS_TOPOLOGY = {
@@ -160,7 +161,7 @@ def fill_attribute(obj: bpy.types.Object, key: str, domain: str, name: str, colo
     if not np.array_equal(_values(attribute).view(np.uint32), data.ravel().view(np.uint32)):
         raise WriteError(obj.name, f'attribute "{made}" does not hold the values that were written', "Bake again")
     others = [e for e in _entries(mesh, key) if made != e["name"] and name != e["wanted"]]
-    if mesh.get(STORED) is None:
+    if stored.read(mesh, STORED) is None:
         mesh[STORED] = {}
     mesh[STORED][key] = json.dumps([*others, {"wanted": name, "name": made, "sum": zlib.crc32(data.tobytes())}])
     taken = None
@@ -185,10 +186,9 @@ def result_object(obj: bpy.types.Object) -> bpy.types.Object | None:
 def remove_attributes(obj: bpy.types.Object) -> int:
     """Remove all our attributes from the object's mesh; returns how many."""
     mesh, removed = obj.data, 0
-    stored = mesh.get(STORED)
-    if stored is None:
+    if stored.read(mesh, STORED) is None:
         return 0
-    for key in list(stored.keys()):
+    for key in stored.keys(mesh, STORED):
         for entry in _entries(mesh, key):
             attribute = _find(mesh, entry)
             if attribute is not None:
@@ -215,8 +215,7 @@ def remove_result_object(obj: bpy.types.Object) -> bool:
 
 def _entries(mesh: bpy.types.Mesh, key: str) -> list[dict[str, Any]]:
     """What is stored of our attributes for `key`, the one written last at the end."""
-    stored = mesh.get(STORED)
-    return json.loads(stored[key]) if stored is not None and key in stored else []
+    return stored.entry(mesh, STORED, key) or []
 
 
 def _find(mesh: bpy.types.Mesh, entry: dict[str, Any]) -> bpy.types.Attribute | None:

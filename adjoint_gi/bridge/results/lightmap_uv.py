@@ -17,9 +17,10 @@ from ...core.base.errors import Notice, SceneError, TargetError
 from ...core.receivers.charts import Mesh, carry
 from ...core.receivers.unwrap import Unwrapped, unwrap
 from . import links as targets
+from . import stored
+from .stored import SHARED
 
-STORED = "adjoint_gi_uv"  # custom property of the mesh: name of the layer made by us
-SHARED = "adjoint_gi_uv_atlas"  # custom property of the mesh: which square its layer shares with others, and its number there
+STORED = stored.UV  # custom property of the mesh: name of the layer made by us
 NAME = "Lightmap"  # what such a layer is called where nothing else is
 MOST = 8  # UV layers of a Blender mesh
 MULTIPLIES = {"ARRAY", "MIRROR", "SCREW", "SOLIDIFY", "BOOLEAN", "NODES", "REMESH", "SKIN", "BEVEL", "EXPLODE", "BUILD"}
@@ -35,8 +36,8 @@ def find_uv_layer(obj: bpy.types.Object, name: str) -> str:
             have = ", ".join(f'"{x.name}"' for x in layers) or "none"
             raise TargetError(obj.name, f'there is no UV layer "{name}" (layers: {have})', "Choose one of them or make a lightmap layer")
         return name
-    made = obj.data.get(STORED)
-    if isinstance(made, str) and made in layers:
+    made = stored.read(obj.data, STORED)
+    if made is not None and made in layers:
         return made
     chosen = next((x.name for x in layers if x.active_render), "")
     if not chosen:
@@ -82,7 +83,7 @@ def paddings(resolution: int) -> tuple[int, ...]:
 
 def in_one_square(objects: Sequence[bpy.types.Object]) -> bool:
     """Whether the layers made by us on `objects` were packed together, so that no two of them lie on one another."""
-    places = [str(obj.data.get(SHARED, "")).split("/") for obj in objects]
+    places = [(stored.read(obj.data, SHARED) or "").split("/") for obj in objects]
     return (
         all(len(place) == 2 for place in places)
         and len({square for square, _ in places}) == 1
@@ -92,13 +93,13 @@ def in_one_square(objects: Sequence[bpy.types.Object]) -> bool:
 
 def shares_square(obj: bpy.types.Object) -> bool:
     """Whether the layer made by us on `obj` was packed with those of other objects, so that it fills only a part of the image."""
-    return SHARED in obj.data
+    return stored.read(obj.data, SHARED) is not None
 
 
 def remove_lightmap_uv(obj: bpy.types.Object) -> bool:
     """Remove the layer made by us; returns whether there was one. The user's active and render layers stay."""
     mesh = obj.data
-    name = mesh.get(STORED)
+    name = stored.read(mesh, STORED)
     if name is None:
         return False
     if name in mesh.uv_layers:
@@ -135,8 +136,8 @@ def check_uv_layer(obj: bpy.types.Object, name: str, depsgraph: bpy.types.Depsgr
 
 def _own(mesh: bpy.types.Mesh) -> str:
     """Name of the layer made by us, empty where there is none."""
-    name = mesh.get(STORED)
-    return name if isinstance(name, str) and name in mesh.uv_layers else ""
+    name = stored.read(mesh, STORED)
+    return name if name is not None and name in mesh.uv_layers else ""
 
 
 def _write_layer(obj: bpy.types.Object, name: str, uv: np.ndarray) -> None:

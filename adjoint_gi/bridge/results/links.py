@@ -12,10 +12,10 @@ from typing import Any
 import bpy
 
 from ...core.base.errors import TargetError
+from . import stored
+from .stored import ABOUT, MADE, RESULTS
 
-RESULTS = "adjoint_gi_results"
-ABOUT = "adjoint_gi_about"  # custom property of images and meshes that describes the result
-MADE = "adjoint_gi_made"  # custom property of the objects that a bake has made to hold its result
+__all__ = ["ABOUT", "MADE", "RESULTS"]
 
 
 def check_object(obj: bpy.types.Object) -> None:
@@ -61,7 +61,7 @@ def missing(obj: bpy.types.Object) -> tuple[str, str]:
 
 def is_result(obj: bpy.types.Object) -> bool:
     """Whether a bake has made `obj` to hold its result: then nothing is baked to it."""
-    return obj.get(MADE) is not None
+    return stored.read(obj, MADE) is not None
 
 
 def sharing(obj: bpy.types.Object) -> list[bpy.types.Object]:
@@ -71,11 +71,8 @@ def sharing(obj: bpy.types.Object) -> list[bpy.types.Object]:
 
 def link(obj: bpy.types.Object, key: str) -> Any | None:
     """The stored group of `key` if `obj` owns it; a copy of an object carries links that are its original's."""
-    group = obj.get(RESULTS)
-    if group is None or key not in group:
-        return None
-    entry = group[key]
-    if entry.get("owner") == obj.name:
+    entry = stored.entry(obj, RESULTS, key)
+    if entry is None or entry["owner"] == obj.name:
         return entry
     # Renamed: no other object has this datablock, so it is still ours. Copied: the original has it.
     made = _datablocks(obj, key)
@@ -85,7 +82,7 @@ def link(obj: bpy.types.Object, key: str) -> Any | None:
 
 def store(obj: bpy.types.Object, key: str, **values: Any) -> None:
     """Replace the stored group of `key`."""
-    if obj.get(RESULTS) is None:
+    if stored.read(obj, RESULTS) is None:
         obj[RESULTS] = {}
     entry = {k: v for k, v in values.items() if not isinstance(v, bpy.types.ID)}
     obj[RESULTS][key] = {"owner": obj.name, **entry}
@@ -96,7 +93,7 @@ def store(obj: bpy.types.Object, key: str, **values: Any) -> None:
 
 def forget(obj: bpy.types.Object, keys: Sequence[str] | None = None) -> None:
     """Drop the links of `keys` (all when None), and the property itself when nothing is left in it."""
-    group = obj.get(RESULTS)
+    group = stored.read(obj, RESULTS)
     if group is None:
         return
     for key in list(group.keys()) if keys is None else keys:
@@ -108,10 +105,9 @@ def forget(obj: bpy.types.Object, keys: Sequence[str] | None = None) -> None:
 
 def keys(obj: bpy.types.Object) -> list[str]:
     """Keys of all stored results."""
-    group = obj.get(RESULTS)
-    return list(group.keys()) if group is not None else []
+    return stored.keys(obj, RESULTS)
 
 
 def _datablocks(obj: bpy.types.Object, key: str) -> set[bpy.types.ID]:
-    group = obj.get(RESULTS)
-    return {v for v in group[key].values() if isinstance(v, bpy.types.ID)} if group is not None and key in group else set()
+    entry = stored.entry(obj, RESULTS, key)
+    return {v for v in entry.values() if isinstance(v, bpy.types.ID)} if entry is not None else set()

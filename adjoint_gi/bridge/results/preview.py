@@ -15,13 +15,10 @@ import numpy as np
 
 from ...core.base.errors import TargetError
 from . import links as targets
+from . import stored
 from .attribute import linked_attribute
-from .preview_material import aim, make_material
-
-STATE = "adjoint_gi_preview"  # custom property of the object: its slots before
-ADDED = "adjoint_gi_slot"  # custom property of a mesh without slots, which got one for the preview
-OURS = "adjoint_gi_material"  # custom property of our materials
-ORIGINAL = "adjoint_gi_original"  # custom property of our materials: the one of the user that each stands for, if any
+from .preview_material import aim, make_material, remove_unused_group
+from .stored import ADDED, ORIGINAL, OURS, STATE
 
 
 def show(objects: Sequence[bpy.types.Object], key: str, *, attribute: str = "") -> None:
@@ -72,7 +69,7 @@ def restore(objects: Sequence[bpy.types.Object]) -> int:
     """Put the user's materials back on `objects`; returns how many objects had a preview."""
     count = 0
     for obj in objects:
-        state = obj.get(STATE)
+        state = stored.read(obj, STATE)
         if state is None:
             continue
         count += 1
@@ -82,6 +79,7 @@ def restore(objects: Sequence[bpy.types.Object]) -> int:
             if material.users == 0:
                 bpy.data.materials.remove(material)
         _drop_added_slot(obj)
+    remove_unused_group()
     return count
 
 
@@ -90,17 +88,17 @@ def follow(obj: bpy.types.Object, key: str, attribute: str = "") -> None:
 
     A bake may have given it another image, UV layer, place in an atlas, or name.
     """
-    state = obj.get(STATE)
+    state = stored.read(obj, STATE)
     if state is None or state.get("key") != key:
         return
     entry = None if attribute else targets.link(obj, key)
-    for material in {s.material for s in obj.material_slots if s.material and s.material.get(OURS)}:
+    for material in {s.material for s in obj.material_slots if s.material and stored.read(s.material, OURS)}:
         aim(material, entry, attribute)
 
 
 def shown(obj: bpy.types.Object) -> bool:
     """Whether `obj` shows a preview."""
-    return obj.get(STATE) is not None
+    return stored.read(obj, STATE) is not None
 
 
 def own_material(
@@ -111,15 +109,16 @@ def own_material(
     Behind one of ours it is what `restore` would put back; `below` is the material that the mesh has in this slot. Where nothing is
     remembered of the object, as in a mesh joined of several, it is what our material was made for.
     """
-    if material is None or not material.get(OURS):
+    if material is None or not stored.read(material, OURS):
         return material, False
-    stands_for = material.original.get(ORIGINAL, "")  # None when it was deleted, "" when the slot was empty
-    state = obj.original.get(STATE)
-    if state is None or f"link{index}" not in state or (below is not None and below.get(OURS)):
-        own = stands_for or None
+    stands_for = stored.read(material.original, ORIGINAL)
+    deleted = stands_for is None and material.original.get(ORIGINAL, "") is None  # not there when the slot was empty
+    state = stored.read(obj.original, STATE)
+    if state is None or f"link{index}" not in state or (below is not None and stored.read(below, OURS)):
+        own = stands_for
     else:
         own = below if state[f"link{index}"] == "DATA" else state.get(f"material{index}")
-    return own, own is None and stands_for is None
+    return own, own is None and deleted
 
 
 @contextlib.contextmanager
@@ -138,7 +137,7 @@ def _put_back(obj: bpy.types.Object) -> list[tuple[int, bpy.types.Material | Non
     """Put the user's materials back into the slots that are ours; returns their indices with what was in them."""
     state, out = obj[STATE], []
     for index, slot in enumerate(obj.material_slots):
-        if f"link{index}" not in state or (slot.material is not None and not slot.material.get(OURS)):
+        if f"link{index}" not in state or (slot.material is not None and not stored.read(slot.material, OURS)):
             continue  # a slot or material that the user has put there meanwhile
         out.append((index, slot.material))
         slot.link = "OBJECT"
@@ -163,7 +162,7 @@ def _remember(obj: bpy.types.Object) -> None:
 def _drop_added_slot(obj: bpy.types.Object) -> None:
     """Remove the slot that was added to a mesh without any, when the last object that shows it is restored."""
     mesh = obj.data
-    if mesh.get(ADDED) is None or any(shown(other) for other in targets.sharing(obj)):
+    if stored.read(mesh, ADDED) is None or any(shown(other) for other in targets.sharing(obj)):
         return
     if len(mesh.materials) == 1 and mesh.materials[0] is None:
         index = np.zeros(len(mesh.polygons), np.int32)

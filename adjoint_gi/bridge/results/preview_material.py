@@ -8,6 +8,7 @@ from typing import Any
 import bpy
 
 from ..host.versions import uses_nodes
+from . import stored
 
 GROUP = "Adjoint GI Preview"
 TIMES_ALBEDO = ("irradiance", "direct", "indirect")
@@ -62,7 +63,7 @@ def make_material(
 
 def aim(material: bpy.types.Material, entry: Any | None, attribute: str) -> None:
     """Have a material of ours show the image of the stored link `entry`, or the colour `attribute`, in place of one of the same kind."""
-    ours = [n for n in material.node_tree.nodes if n.type == "GROUP" and n.node_tree is not None and n.node_tree.get("adjoint_gi")]
+    ours = [n for n in material.node_tree.nodes if n.type == "GROUP" and n.node_tree is not None and stored.read(n.node_tree, stored.TREE)]
     for link in [link for node in ours for link in node.inputs["Result"].links]:
         if link.from_node.type == "TEX_IMAGE" and entry is not None:
             _aim_image(link.from_node, entry)
@@ -73,10 +74,10 @@ def aim(material: bpy.types.Material, entry: Any | None, attribute: str) -> None
 def preview_group() -> bpy.types.NodeTree:
     """Our node group Base Color x Result / pi -> Emission, made once for each file."""
     for tree in bpy.data.node_groups:
-        if tree.get("adjoint_gi") == "preview" and tree.library is None:
+        if stored.read(tree, stored.TREE) == "preview" and tree.library is None:
             return tree
     tree = bpy.data.node_groups.new(GROUP, "ShaderNodeTree")
-    tree["adjoint_gi"] = "preview"
+    tree[stored.TREE] = "preview"
     tree.interface.new_socket("Base Color", in_out="INPUT", socket_type="NodeSocketColor")
     tree.interface.new_socket("Result", in_out="INPUT", socket_type="NodeSocketColor")
     tree.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
@@ -92,6 +93,12 @@ def preview_group() -> bpy.types.NodeTree:
     tree.links.new(times.outputs["Vector"], emit.inputs["Color"])
     tree.links.new(emit.outputs["Emission"], end.inputs["Shader"])
     return tree
+
+
+def remove_unused_group() -> None:
+    """Remove our node group when no material uses it any more."""
+    for tree in [t for t in bpy.data.node_groups if stored.read(t, stored.TREE) == "preview" and t.library is None and t.users == 0]:
+        bpy.data.node_groups.remove(tree)
 
 
 def _image(nodes: bpy.types.Nodes, links: bpy.types.NodeLinks, entry: Any) -> bpy.types.NodeSocket:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from . import links
+from . import links, stored
 from .attribute import STORED, remove_attributes, remove_result_object, result_object
 from .image import remove_images
 from .lightmap_uv import STORED as STORED_UV
@@ -32,9 +32,10 @@ def remove_results(scene: bpy.types.Scene) -> dict[str, int]:
         "image": images,
         "attribute": sum(remove_attributes(o) for o in changed),
         "UV layer": sum(remove_lightmap_uv(o) for o in changed),
+        "damaged property of a bake": stored.drop_damaged(),
     }
 
 
 def _has_layers(obj: bpy.types.Object) -> bool:
     """Whether a bake has put an attribute or a UV layer on the mesh, which may be changed."""
-    return (obj.data.get(STORED) is not None or obj.data.get(STORED_UV) is not None) and links.linked(obj, True) is None
+    return (stored.read(obj.data, STORED) is not None or stored.read(obj.data, STORED_UV) is not None) and links.linked(obj, True) is None

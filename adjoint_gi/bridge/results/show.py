@@ -16,10 +16,9 @@ import bpy
 from ...core.base.errors import TargetError
 from ..host.notices import listed
 from . import links as targets
-from . import preview
+from . import preview, stored
 from .attribute import linked_attribute, result_object
-
-HIDDEN = "adjoint_gi_hidden"  # custom property of an object that was hidden here: where, in favour of which, and what was selected
+from .stored import HIDDEN
 
 
 def holders(scene: bpy.types.Scene, quantity: str, target: str, new_object: bool = False) -> list[bpy.types.Object]:
@@ -65,7 +64,11 @@ def restore(scene: bpy.types.Scene) -> int:
 @contextlib.contextmanager
 def unhidden(view_layer: bpy.types.ViewLayer) -> Iterator[None]:
     """What `show` hid in `view_layer` is visible for a while, so that the depsgraph lists it; afterwards all is as before."""
-    hidden = [o for o in view_layer.objects if o.get(HIDDEN) and view_layer in _layers(o) and o.hide_get(view_layer=view_layer)]
+    hidden = [
+        o
+        for o in view_layer.objects
+        if stored.read(o, HIDDEN) is not None and view_layer in _layers(o) and o.hide_get(view_layer=view_layer)
+    ]
     try:
         _set_hidden(hidden, False, view_layer)
         yield
@@ -84,7 +87,7 @@ def selected(view_layer: bpy.types.ViewLayer) -> tuple[str, ...]:
     """Names of the selected mesh objects. Results are none of them; one that is seen in place of its original stands for it."""
 
     def is_selected(obj: bpy.types.Object) -> bool:
-        state = obj.get(HIDDEN)
+        state = stored.read(obj, HIDDEN)
         seen = state.get("seen") if state is not None and view_layer in _layers(obj) else None
         return (seen if seen is not None and obj.hide_get(view_layer=view_layer) else obj).select_get(view_layer=view_layer)
 
@@ -119,7 +122,7 @@ def _hide(obj: bpy.types.Object, seen: bpy.types.Object, scene: bpy.types.Scene,
 
 def _reveal(obj: bpy.types.Object) -> None:
     """Undo `_hide`; what is selected of the two stays so."""
-    state = obj.get(HIDDEN)
+    state = stored.read(obj, HIDDEN)
     if state is None:
         return
     seen = state.get("seen")
@@ -139,7 +142,7 @@ def _reveal(obj: bpy.types.Object) -> None:
 
 def _layers(obj: bpy.types.Object) -> list[bpy.types.ViewLayer]:
     """The view layer in which `obj` was hidden; all of its scene when none has that name any more."""
-    state = obj[HIDDEN]
+    state = stored.read(obj, HIDDEN)
     scene = state.get("scene")
     if scene is None:
         return []

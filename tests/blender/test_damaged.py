@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Files in which something else stands under the names of our custom properties: it counts as absent, is named, and can be cleared away."""
+
+from __future__ import annotations
+
+import bpy
+import pytest
+from adjgi.adjoint_gi.bridge.baking.bake import preflight
+from adjgi.adjoint_gi.bridge.results import attribute, image, lightmap_uv, links, preview, show, stored
+from adjgi.adjoint_gi.bridge.results.remove import remove_results
+from adjgi.tests import baking
+from adjgi.tests.cycles_patch import add_light, diffuse_material
+from adjgi.tests.hostile import SQUARE, mesh
+
+WRONG = (
+    *(1, 0, 2.5, "x", "[1]", '[{"name": 3}]', [1, 2], {}, {"a": 1}, {"irradiance": 3}, {"owner": 1, "irradiance": {"owner": "floor"}}),
+    *({"irradiance": '[{"name": "a", "wanted": "b"}]'}, {"irradiance": {"owner": "floor", "image": 5}}),
+    *({"irradiance": {"owner": "floor", "scale": "ab"}}, {"object": {"owner": "floor", "made": 4}}),
+    *({"layer": 3, "seen": "x", "scene": 1, "made_selected": "y"}, {"count": "y", "link0": 4, "key": 7}, {"count": 1, "link0": "x"}),
+    *({"count": 1, "link0": "DATA", "material0": 6}, {"layer": "ViewLayer", "made_selected": 0, "scene": "Scene"}),
+)
+
+
+def floor():
+    made = mesh(*SQUARE, name="floor")
+    made.data.materials.append(diffuse_material("grey", 0.5))
+    add_light("SUN", energy=2.0, angle=0.0)
+    return made
+
+
+def blocks():
+    return [b for kind in stored.COLLECTIONS for b in getattr(bpy.data, kind)]
+
+
+@pytest.mark.parametrize("value", WRONG, ids=repr)
+def test_anything_under_the_names_of_our_properties_is_met(value, registered, tmp_path):
+    """On every datablock, also of another scene, at once: check, bake, show, restore and clear go on as if nothing stood there."""
+    obj = floor()
+    mesh(*SQUARE, name="elsewhere")
+    other = bpy.data.scenes.new("other")
+    other.collection.objects.link(bpy.data.objects["elsewhere"])
+    bpy.context.scene.collection.objects.unlink(bpy.data.objects["elsewhere"])
+    bpy.data.images.new("any", 1, 1)
+    bpy.data.node_groups.new("any", "ShaderNodeTree")
+    for block in blocks():
+        for name in stored.PROPERTIES:
+            if not (
+                name == stored.MADE and value and isinstance(value, int)
+            ):  # that is what a bake stores: a result, to which none is baked
+                block[name] = value
+    assert stored.damaged()
+    request = baking.request(resolution=16, values={"samples": 1}, output=str(tmp_path))
+    told = [n for n in preflight(bpy.context, request) if "counts as absent" in n.reason]
+    assert told and len(told) <= len(stored.PROPERTIES) and not [n for n in told if n.severity == "error"]
+
+    for target in ("texture", "attribute"):
+        made = baking.bake(baking.request(target=target, resolution=16, values={"samples": 1}))
+        assert [n for n in made.notices if "counts as absent" in n.reason]
+        record = bpy.context.scene.adjoint_gi.result
+        record.target, record.quantity = target, "irradiance"
+        assert show.show(bpy.context.scene) == 1 and show.restore(bpy.context.scene) == 1
+    assert image.linked_image(obj, "irradiance") is not None and attribute.linked_attribute(obj, "irradiance") == "AdjointGI"
+    remove_results(bpy.context.scene)
+    assert not stored.damaged()
+    assert not obj.data.uv_layers and not obj.data.color_attributes and obj.material_slots[0].material.name == "grey"
+
+
+def test_what_a_bake_stores_is_not_damaged(registered):
+    """Every property that a bake, a preview and a result object leave passes; a deleted material too."""
+    obj = floor()
+    for more in ({}, {"target": "attribute"}, {"target": "attribute", "new_object": True}):
+        baking.bake(baking.request(values={"samples": 1}, **{"resolution": 16, **more}))
+        record = bpy.context.scene.adjoint_gi.result
+        record.target, record.quantity, record.new_object = more.get("target", "texture"), "irradiance", "new_object" in more
+        show.show(bpy.context.scene)
+        assert not stored.damaged()
+    preview.restore([obj])
+    preview.show([obj], "irradiance")
+    bpy.data.materials.remove(bpy.data.materials["grey"])
+    assert not stored.damaged() and links.keys(obj) == ["irradiance", "object"]
+    assert lightmap_uv.find_uv_layer(obj, "") == "Lightmap"
+
+
+def test_a_link_to_a_users_object_is_not_taken_for_a_result(registered):
+    """Clear Results removes what a bake has made, and nothing else."""
+    obj, mine = floor(), mesh(*SQUARE, name="mine")
+    obj[stored.RESULTS] = {"object": {"owner": "floor"}}
+    obj[stored.RESULTS]["object"]["made"] = mine
+    assert stored.damaged() == [("floor", stored.RESULTS)]
+    remove_results(bpy.context.scene)
+    assert "mine" in bpy.data.objects and stored.RESULTS not in obj
