@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import faulthandler
 import hashlib
 import importlib.util
 import io
@@ -27,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-DONE = "seed"  # first word of the line about a seed that was tried
+BUILT, DONE = "built", "seed"  # first words of the lines about a scene that is there, and about a seed that was tried
 METHODS = {  # settings that make a bake of 16 texels a side cheap
     "path_tracing": {"samples": 1, "max_length": 3},
     "local_illumination": {"light_points": 1},
@@ -56,15 +57,18 @@ def main() -> int:
     if options.worker:
         return work(first, end, options.keep)
     failed: dict[int, str] = {}
+    skipped: list[int] = []
     while first < end:
-        first = watch(first, end, options, failed)
+        first = watch(first, end, options, failed, skipped)
+    if skipped:
+        print(f"Blender itself ended while it built seeds {skipped}")
     for seed, why in sorted(failed.items()):
         print(f"FAILED seed {seed}: {why}")
     print(f"{len(failed)} seeds failed" if failed else "all seeds passed")
     return 1 if failed else 0
 
 
-def watch(first: int, end: int, options: argparse.Namespace, failed: dict[int, str]) -> int:
+def watch(first: int, end: int, options: argparse.Namespace, failed: dict[int, str], skipped: list[int]) -> int:
     """Run one process from seed `first` on until it ends, or is stopped for one that takes too long; returns the seed to go on with."""
     command = [options.python, __file__, "--worker", "--seeds", f"{first}:{end}"]
     command += ["--keep", options.keep] if options.keep else []
@@ -77,7 +81,7 @@ def watch(first: int, end: int, options: argparse.Namespace, failed: dict[int, s
         lines.put(None)
 
     threading.Thread(target=read, daemon=True).start()
-    seed, said, limit = first, [], options.seconds + 30.0  # Blender has to start
+    seed, built, said, limit = first, False, [], options.seconds + 30.0  # Blender has to start
     while True:
         try:
             line = lines.get(timeout=limit)
@@ -87,13 +91,18 @@ def watch(first: int, end: int, options: argparse.Namespace, failed: dict[int, s
             return seed + 1
         limit = options.seconds
         if line is None:
-            if process.wait() != 0 or seed < end:
+            if process.wait() < 0 and not built:
+                skipped.append(seed)
+                return seed + 1
+            if process.returncode != 0 or seed < end:
                 failed[seed] = f"ended the process with code {process.returncode}: {''.join(said[-12:])}"
                 return seed + 1
             return end
         words = line.split(maxsplit=2)
-        if len(words) == 3 and words[0] == DONE and words[1].isdigit():
-            seed, said = int(words[1]) + 1, []
+        if words[:2] == [BUILT, str(seed)]:
+            built = True
+        elif len(words) == 3 and words[0] == DONE and words[1].isdigit():
+            seed, built, said = int(words[1]) + 1, False, []
             if words[2].strip() != "passed":
                 failed[int(words[1])] = words[2].strip().encode().decode("unicode_escape")
         else:
@@ -117,6 +126,7 @@ def load() -> Any:
 
 def work(first: int, end: int, keep: str | None) -> int:
     """Try seeds one after the other and print a line about each."""
+    faulthandler.enable()
     load()
     import bpy
     from adjgi.tests.random_scenes import RandomScene
@@ -125,6 +135,7 @@ def work(first: int, end: int, keep: str | None) -> int:
     for seed in range(first, end):
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
         RandomScene(seed).build()
+        print(BUILT, seed, file=out, flush=True)
         if keep:
             bpy.ops.wm.save_as_mainfile(filepath=str(Path(keep).absolute()), copy=True)
             print(f"saved {keep}")

@@ -68,6 +68,7 @@ class RandomScene:
             self.attempt(self.other_scene)
         if rng.random() < 0.3:
             self.attempt(self.settings)
+        bpy.context.view_layer.update()  # until then its list of objects may have holes
         for obj in bpy.context.view_layer.objects:
             self.attempt(obj.select_set, rng.random() < 0.4)
 
