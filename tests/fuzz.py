@@ -19,6 +19,7 @@ import io
 import os
 import queue
 import random
+import re
 import subprocess
 import sys
 import tempfile
@@ -242,7 +243,7 @@ class Trial:
 def lines(text: str, severity: str) -> set[str]:
     """The notices of a severity; objects of one sentence may be grouped in another way, so only the sentence counts."""
     found = [line for line in text.splitlines() if line.startswith(severity + ": ")]
-    return {line.split(": ", 2)[-1] for line in found}
+    return {re.sub(r"[\d.,]+ [kMG]B are free", "some are free", line.split(": ", 2)[-1]) for line in found}
 
 
 def differing(a: str, b: str) -> tuple[str, str]:
@@ -304,7 +305,7 @@ def described(owner: Any, depth: int) -> str:
     """Properties of a datablock and of what belongs to it, as text."""
     import bpy
 
-    parts = [f"{k}={owner[k]!r}" for k in owner.keys() if not k.startswith("adjoint_gi")] if depth == 0 else []
+    parts = [f"{k}={owner[k]!r}" for k in owner.keys() if not k.startswith("adjoint_gi")] if depth == 0 else []  # noqa: SIM118
     for p in owner.bl_rna.properties:
         name = p.identifier
         if name in VOLATILE or name in MESH_ITEMS:
@@ -343,6 +344,8 @@ def layers(mesh: Any) -> str:
         values = np.zeros(len(attribute.data) * width, np.float32 if attribute.data_type.startswith(("FLOAT", "BYTE")) else np.int32)
         if attribute.data_type not in ("STRING", "QUATERNION", "FLOAT4X4"):
             attribute.data.foreach_get(field, values)
+        if attribute.name == "material_index" and not values.any():
+            continue  # as good as none
         out.append(f"{attribute.name} {attribute.domain} {attribute.data_type} {hashlib.sha256(values.tobytes()).hexdigest()[:12]}")
     return "; ".join(out)
 

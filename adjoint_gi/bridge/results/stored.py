@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import bpy
-from idprop.types import IDPropertyGroup
 
 RESULTS = "adjoint_gi_results"  # of objects: a group for each result, see `links`
 MADE = "adjoint_gi_made"  # of objects that a bake has made to hold its result
@@ -50,7 +49,7 @@ def entry(owner: bpy.types.ID, name: str, key: str) -> Any | None:
 def keys(owner: bpy.types.ID, name: str) -> list[str]:
     """Keys of all sound entries of the group `name`."""
     group = read(owner, name)
-    return [key for key in group.keys() if entry(owner, name, key) is not None] if group is not None else []
+    return [key for key in group.keys() if entry(owner, name, key) is not None] if group is not None else []  # noqa: SIM118
 
 
 def damaged() -> list[tuple[str, str]]:
@@ -63,7 +62,7 @@ def drop_damaged() -> int:
     found = [(owner, name) for owner, name in _damaged() if owner.is_editable and owner.library is None]
     for owner, name in found:
         group = owner.get(name)
-        bad = [k for k in group.keys() if entry(owner, name, k) is None] if read(owner, name) is not None else []
+        bad = [k for k in group.keys() if entry(owner, name, k) is None] if read(owner, name) is not None else []  # noqa: SIM118
         for key in bad:
             del group[key]
         if not bad or not group.keys():
@@ -74,7 +73,7 @@ def drop_damaged() -> int:
 def _damaged() -> Iterator[tuple[bpy.types.ID, str]]:
     for kind in COLLECTIONS:
         for owner in getattr(bpy.data, kind):
-            for name in owner.keys():
+            for name in owner.keys():  # noqa: SIM118
                 if name in PROPERTIES and not _is_sound(owner, name):
                     yield owner, name
 
@@ -91,7 +90,8 @@ def _is_sound(owner: bpy.types.ID, name: str) -> bool:
 
 
 def _is_group(value: Any) -> bool:
-    return isinstance(value, IDPropertyGroup)
+    """A group of properties, of which no datablock, number, text or array has this method."""
+    return hasattr(value, "to_dict")
 
 
 def _is_text(value: Any) -> bool:
@@ -141,8 +141,8 @@ def _is_state(value: Any) -> bool:
     """STATE: slots before a preview."""
     if not (_is_group(value) and isinstance(value.get("count"), int) and isinstance(value.get("key", ""), str)):
         return False
-    links = [value[k] for k in value.keys() if k.startswith("link")]
-    materials = [value[k] for k in value.keys() if k.startswith("material")]
+    links = [value[k] for k in value.keys() if k.startswith("link")]  # noqa: SIM118
+    materials = [value[k] for k in value.keys() if k.startswith("material")]  # noqa: SIM118
     return all(x in ("DATA", "OBJECT") for x in links) and all(x is None or isinstance(x, bpy.types.Material) for x in materials)
 
 
