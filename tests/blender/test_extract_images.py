@@ -10,8 +10,11 @@ import zlib
 import bpy
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.bridge.extract import images
 from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from adjgi.adjoint_gi.bridge.extract.image_header import sequence_file
+from adjgi.adjoint_gi.core.images.headers import header_of_bytes
+from adjgi.tests.core import test_headers as headers
 from adjgi.tests.cycles_patch import render_patch, shader_material, white_plane
 
 
@@ -43,6 +46,57 @@ def emitter(image, alpha_used=False):
         tree.links.new(one.outputs[0], emission.inputs["Strength"])
     white_plane(2.0, material)
     return node
+
+
+FORMATS = ["JPEG", "OPEN_EXR", "PNG", "WEBP", "BMP", "CINEON", "DPX", "IRIS", "JPEG2000", "HDR", "TARGA", "TARGA_RAW", "TIFF"]
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_every_format_is_refused_before_it_is_decoded_where_it_is_too_large(tmp_path, monkeypatch, kind):
+    floats = kind in ("CINEON", "DPX", "HDR", "OPEN_EXR")  # Blender 4.2 crashes when it saves bytes as these
+    made = bpy.data.images.new("made", 70, 50, float_buffer=floats)
+    made.file_format, made.filepath_raw = kind, str(tmp_path / f"a.{kind.lower()}")
+    made.save()
+    header = header_of_bytes((tmp_path / f"a.{kind.lower()}").read_bytes())
+    assert (header.width, header.height) == (70, 50)
+    image = bpy.data.images.load(made.filepath_raw)
+    emitter(image)
+    arrays, told = notices()
+    assert len(arrays.textures) == 1 and header.bytes >= (16 if image.is_float else 4) * 70 * 50 and not told
+    for packed in (False, True):
+        image.buffers_free()
+        if packed:
+            image.pack()
+        monkeypatch.setattr(images, "LARGEST_IMAGE", 70 * 50 - 1)
+        arrays, told = notices()
+        assert not arrays.textures and not image.has_data and "70 x 50" in told[0]
+
+
+def test_formats_are_all_that_blender_saves():
+    found = {item.identifier for item in bpy.types.Image.bl_rna.properties["file_format"].enum_items}
+    assert found - {"OPEN_EXR_MULTILAYER", "FFMPEG", "AVIF", "AVI_JPEG", "AVI_RAW"} == set(FORMATS)
+
+
+def test_layers_count_and_unknown_formats_are_not_decoded(tmp_path, monkeypatch):
+    bpy.context.scene.render.resolution_x = bpy.context.scene.render.resolution_y = 8
+    (tmp_path / "a.exr").write_bytes(headers.exr(headers.exr_header(8, 8, [b"%d.Z" % i for i in range(99)])))
+    (tmp_path / "b.tif").write_bytes(b"no picture")
+    for name in ("a.exr", "b.tif"):
+        emitter(bpy.data.images.load(str(tmp_path / name)))
+    monkeypatch.setattr(images, "LARGEST_DECODED", 8 * 8 * 16)
+    arrays, told = notices()
+    assert not arrays.textures and not any(i.has_data for i in bpy.data.images)
+    assert any("a.exr" in t and "25.3 kB when all of its layers are read" in t for t in told)
+    assert any("b.tif" in t and "cannot be read safely" in t for t in told)
+
+
+def test_generated_images_are_checked_before_they_are_made():
+    image = bpy.data.images.new("large", 8, 8)
+    image.generated_width = image.generated_height = 9000
+    image.buffers_free()
+    emitter(image)
+    arrays, told = notices()
+    assert not arrays.textures and not image.has_data and "9000 x 9000" in told[0]
 
 
 def notices():

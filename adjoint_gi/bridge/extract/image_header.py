@@ -1,24 +1,41 @@
-"""Files of images: the size from the first bytes, so that an image bomb is refused before it is decoded; frames of sequences."""
+"""Files of images: what one would take in memory, by its header, so that an image bomb is refused before it is decoded; sequences."""
 
 from __future__ import annotations
 
+import io
 import os
 import re
-import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import BinaryIO
 
 import bpy
 
-HEADER = 65536  # bytes looked at
+from ...core.images.headers import Header, read_header
 
 
-def stored_size(image: bpy.types.Image) -> tuple[int, int] | None:
-    """(width, height) of a packed or stored PNG, JPEG, OpenEXR or BMP, or None when it cannot be read."""
-    return size_of_bytes(_first_bytes(image))
+class NoFile(Exception):
+    """The image has no file, or one that cannot be read: there is nothing to decode either."""
+
+
+def stored_header(image: bpy.types.Image) -> Header | None:
+    """What decoding an image that is not loaded would give, or None where that cannot be told for certain. Blender is not asked for the
+    size, because it would decode the image. Raises NoFile."""
+    headers = [_generated(made) for made in _generators(image)]
+    try:
+        if image.source != "GENERATED" or image.packed_files:
+            with _files(image) as files:
+                headers += [read_header(file) for file in files]
+    except NoFile:
+        if not headers:
+            raise
+    known = [h for h in headers if h is not None]
+    return max(known, key=lambda h: h.bytes) if known and len(known) == len(headers) else None
 
 
 def sequence_file(image: bpy.types.Image, frame: int) -> str:
     """Path of one frame of an image sequence: the last number in the name of its file is replaced, with as many digits."""
-    folder, name = os.path.split(bpy.path.abspath(image.filepath, library=image.library))
+    folder, name = os.path.split(_path(image))
     stem, extension = os.path.splitext(name)
     found = re.fullmatch(r"(.*?)(\d+)(\D*)", stem)
     if found is None:
@@ -26,54 +43,43 @@ def sequence_file(image: bpy.types.Image, frame: int) -> str:
     return os.path.join(folder, f"{found[1]}{frame:0{len(found[2])}d}{found[3]}{extension}")
 
 
-def _first_bytes(image: bpy.types.Image) -> bytes:
+def _path(image: bpy.types.Image) -> str:
+    return bpy.path.abspath(image.filepath, library=image.library)
+
+
+def _generators(image: bpy.types.Image) -> list[bpy.types.Image | bpy.types.UDIMTile]:
+    """What is made of nothing when it is looked at, with the size that it gets then: a generated image, and maybe a tile."""
     if image.source == "GENERATED":
-        return b""
-    if image.packed_file is not None:
-        return bytes(image.packed_file.data[:HEADER])
-    path = bpy.path.abspath(image.filepath, library=image.library)
-    if not os.path.isfile(path):
-        return b""
+        return [image]
+    return [image.tiles[0]] if image.source == "TILED" and image.tiles else []
+
+
+def _generated(made: bpy.types.Image | bpy.types.UDIMTile) -> Header:
+    width, height = max(made.generated_width, 1), max(made.generated_height, 1)
+    return Header(width, height, width * height * 16)
+
+
+@contextmanager
+def _files(image: bpy.types.Image) -> Iterator[list[BinaryIO]]:
+    """What is packed in the image, or its file; of tiles the first one, which is all that is used. Raises NoFile."""
+    if image.packed_files:
+        yield [io.BytesIO(item.packed_file.data) for item in image.packed_files if item.packed_file is not None]
+        return
+    if image.use_multiview and image.views_format == "INDIVIDUAL":  # a file for each eye, under names of Blender's making
+        yield [io.BytesIO()]
+        return
+    path = _tile(image, _path(image)) if image.source == "TILED" else _path(image)
     try:
+        if not os.path.isfile(path):  # a folder or a device is no picture
+            raise NoFile
         with open(path, "rb") as file:
-            return file.read(HEADER)
-    except OSError:
-        return b""
+            yield [file]
+    except OSError as error:
+        raise NoFile from error
 
 
-def size_of_bytes(data: bytes) -> tuple[int, int] | None:
-    """(width, height) by the header in `data`."""
-    try:
-        if data[:8] == b"\x89PNG\r\n\x1a\n":
-            return struct.unpack(">II", data[16:24])
-        if data[:4] == b"\x76\x2f\x31\x01":
-            return _exr(data)
-        if data[:2] == b"\xff\xd8":
-            return _jpeg(data)
-        if data[:2] == b"BM":
-            width, height = struct.unpack("<ii", data[18:26])
-            return width, abs(height)
-    except struct.error:
-        return None
-    return None
-
-
-def _exr(data: bytes) -> tuple[int, int] | None:
-    """Size of the data window, an attribute of the header: name, type, byte count, value."""
-    at = data.find(b"dataWindow\0box2i\0")
-    if at < 0:
-        return None
-    x0, y0, x1, y1 = struct.unpack("<iiii", data[at + 21 : at + 37])
-    return max(0, x1 - x0 + 1), max(0, y1 - y0 + 1)
-
-
-def _jpeg(data: bytes) -> tuple[int, int] | None:
-    """Size in the first start-of-frame segment."""
-    at = 2
-    while at + 9 < len(data) and data[at] == 0xFF:
-        marker, length = data[at + 1], struct.unpack(">H", data[at + 2 : at + 4])[0]
-        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            height, width = struct.unpack(">HH", data[at + 5 : at + 9])
-            return width, height
-        at += 2 + length
-    return None
+def _tile(image: bpy.types.Image, path: str) -> str:
+    """The file of the first tile: `<UDIM>` is its number, `<UVTILE>` its column and row from 1."""
+    number = image.tiles[0].number if image.tiles else 1001
+    column, row = (number - 1001) % 10 + 1, (number - 1001) // 10 + 1
+    return path.replace("<UDIM>", str(number)).replace("<UVTILE>", f"u{column}_v{row}")

@@ -16,11 +16,13 @@ import bpy
 import numpy as np
 
 from ...core.base.color import decode_srgb, encode_srgb
+from ...core.base.resources import size_text
 from ...core.scene.arrays import Texture
 from ..host.notices import Notices
-from .image_header import sequence_file, stored_size
+from .image_header import NoFile, sequence_file, stored_header
 
 LARGEST_IMAGE = 8192 * 8192  # pixels
+LARGEST_DECODED = 16 * LARGEST_IMAGE  # bytes that Blender may need for one image
 LARGEST_TOTAL = 2 * LARGEST_IMAGE  # pixels of all textures together: 2 GB of float32 RGBA
 MEAN_OF_NOTHING = (0.8, 0.8, 0.8, 1.0)  # for an image without pixels: Cycles' default grey
 LINEAR = {"Non-Color", "Linear Rec.709", "scene_linear", "Linear", "Raw"}
@@ -112,8 +114,7 @@ class Images:
         """(h, w, 4) float32 scene-linear, row 0 at the bottom. Notices call the image `name` where it stands for another."""
         name = name or f'Image "{image.name}"'
         had = image.has_data
-        size = None if had else stored_size(image)
-        if size is not None and not self._fits(name, size):
+        if not had and not self._may_decode(image, name):
             return None
         width, height = int(image.size[0]), int(image.size[1])
         if width * height == 0 or image.channels == 0:
@@ -134,6 +135,25 @@ class Images:
         if not had and image.source == "FILE" and not image.is_dirty:
             image.buffers_free()  # it was not loaded before: leave no memory behind
         return pixels
+
+    def _may_decode(self, image: bpy.types.Image, name: str) -> bool:
+        """Whether an image that is not loaded may be: it is known to fit; a notice if not. Blender decodes it when asked for its size."""
+        if image.type in ("RENDER_RESULT", "COMPOSITING"):
+            return True
+        try:
+            header = stored_header(image)
+        except NoFile:
+            self._notices.add(name, f"{_why_empty(image)[0]}; {GREY}", _why_empty(image)[1])
+            return False
+        if header is None:
+            text = f"cannot be read safely, for its size is not known before it is decoded (damaged, or of another format); {GREY}"
+            self._notices.add(name, text, "Save it as PNG or OpenEXR, or open it in an Image Editor first")
+            return False
+        if header.bytes > LARGEST_DECODED and header.width * header.height <= LARGEST_IMAGE:
+            text = f"takes {size_text(header.bytes)} when all of its layers are read, more than {size_text(LARGEST_DECODED)}; {GREY}"
+            self._notices.add(name, text, "Save what is used of it as an image of its own")
+            return False
+        return self._fits(name, (header.width, header.height))
 
     def _fits(self, name: str, size: tuple[int, int]) -> bool:
         """Whether an image of this size is within the budgets; a notice if not."""
