@@ -24,7 +24,7 @@ if "adjgi" not in sys.modules:
     spec = importlib.util.spec_from_file_location("adjgi", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
     sys.modules["adjgi"] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(sys.modules["adjgi"])
-from adjgi.adjoint_gi.bridge.results.lightmap_uv import read_faces  # noqa: E402
+from adjgi.adjoint_gi.bridge.results.faces import read_faces  # noqa: E402
 from adjgi.adjoint_gi.core.receivers.charts import area_vectors  # noqa: E402
 from adjgi.adjoint_gi.core.receivers.pack import place_objects  # noqa: E402
 from adjgi.adjoint_gi.core.receivers.unwrap import by_projection, unwrap  # noqa: E402

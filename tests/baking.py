@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from adjgi.adjoint_gi.bridge.baking.bake import Bake, BakeRequest
 from adjgi.adjoint_gi.bridge.results.image import linked_image, read_pixels
-from adjgi.adjoint_gi.bridge.results.lightmap_uv import NAME, SHARED, STORED, make_lightmap_uvs
+from adjgi.adjoint_gi.bridge.results.lightmap_uv import FACES, NAME, SHARED, STORED, make_lightmap_uvs, own_layer
 from adjgi.adjoint_gi.bridge.results.links import ABOUT, RESULTS, link
 from adjgi.adjoint_gi.core.base.errors import AdjointError
 from adjgi.adjoint_gi.core.method import registry
@@ -81,9 +81,9 @@ def lightmaps(req: BakeRequest) -> dict[str, Baked]:
 
 
 def make_lightmap_uv(obj: bpy.types.Object, name: str = NAME, resolution: int = 512, padding: int = 4) -> str:
-    """Make (or renew) our UV layer on the original mesh of `obj` and return its name; see `make_lightmap_uvs`."""
+    """Make (or renew) our UV layer of `obj` and return its name; see `make_lightmap_uvs`."""
     make_lightmap_uvs([obj], resolution, (padding,), name)
-    return obj.data[STORED]
+    return own_layer(obj)
 
 
 def outlined(baked: Baked, boxes: Sequence[bpy.types.Object]) -> np.ndarray:
@@ -292,7 +292,7 @@ def _mesh(mesh: bpy.types.Mesh) -> tuple[object, ...]:
         _digest(mesh.polygons, "material_index", 1),
     ]
     materials = [m.name if m else None for m in mesh.materials]
-    return geometry, layers, colors, materials, {k: str(v) for k, v in mesh.items() if k not in (STORED, SHARED, ABOUT)}
+    return geometry, layers, colors, materials, {k: str(v) for k, v in mesh.items() if k not in (STORED, SHARED, FACES, ABOUT)}
 
 
 def _digest(items: object, name: str, width: int) -> str:

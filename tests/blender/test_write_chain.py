@@ -34,7 +34,10 @@ def scene_of_twins():
 
 def test_texels_of_twins_hold_their_own_places():
     first, twin = scene_of_twins()
+    mesh, twin.data = twin.data, twin.data.copy()
     name = make_lightmap_uv(first, resolution=128, padding=2)
+    twin.data = mesh  # from now on the layer on the mesh is that of both
+    bpy.context.view_layer.update()
     world = World(extract(bpy.context.evaluated_depsgraph_get()))
     names = [o.name for o in world.scene.objects]
     maps = [rasterize(world, [names.index(o.name)], name, 128) for o in (first, twin)]

@@ -64,12 +64,16 @@ class Bake:
         # Step 2: UV layers that are missing are made; then the scene has to be read again.
         kind = WRITERS[request.target]
         made = kind.prepare(context, request, world)
-        if made is not None:
-            world = World(self._extract(context))
+        with contextlib.ExitStack() as undo:
+            if made is not None:
+                undo.push(made.undo)
+                world = World(self._extract(context))
 
-        # Step 3: receivers and the driver.
-        self.writer = kind(context, request, world)
-        self.notices: list[Notice] = ordered([*(n for n in notices if n.severity != "error"), *(made or ()), *self.writer.notices])
+            # Step 3: receivers and the driver.
+            self.writer = kind(context, request, world)
+            undo.pop_all()
+        said = made.notices if made is not None else ()
+        self.notices: list[Notice] = ordered([*(n for n in notices if n.severity != "error"), *said, *self.writer.notices])
         self.driver = Driver(request.solver, world, self.writer.receivers, request.settings)
 
     def write(self, solution: Solution) -> list[str]:

@@ -27,7 +27,7 @@ from ..props.request import RECEIVERS, BakeRequest
 from ..results import links as targets
 from ..results import stored
 from ..results.attribute import check_attribute_target
-from ..results.lightmap_uv import MOST, NAME, STORED
+from ..results.lightmap_uv import NAME, check_target, outdated, own_layer
 from ..results.show import unhidden
 from . import outputs
 
@@ -109,8 +109,7 @@ def _targets(context: bpy.types.Context, request: BakeRequest) -> tuple[list[bpy
 
 def unwritable(obj: bpy.types.Object, request: BakeRequest) -> TargetError | None:
     """Why `obj`, of another file, cannot keep the result, so that it is left out unless it was named; None when it can."""
-    own_uv = request.target == "texture" and not request.uv_layer and not has_own_layer(obj.data)
-    return targets.linked(obj, own_uv or (request.target == "attribute" and not request.new_object))
+    return targets.linked(obj, request.target == "attribute" and not request.new_object)
 
 
 def _with_faces(context: bpy.types.Context) -> list[bpy.types.Object]:
@@ -278,23 +277,18 @@ def _texture_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]
             reason = f'has no UV layer "{request.uv_layer}" (layers: {have})'
             return [Notice(obj.name, reason, "Choose one of its layers, or leave it empty to have one made", "error")]
         return []
-    if has_own_layer(mesh):
-        return []
+    if own_layer(obj):
+        why = outdated(obj, bpy.context.evaluated_depsgraph_get())
+        if not why:
+            return []
     try:
-        targets.check_mesh(obj)
+        check_target(obj)
     except TargetError as error:
         return [replace(error.notice, remedy=f"{error.notice.remedy}, or name one of its UV layers")]
-    if len(mesh.uv_layers) >= MOST:
-        reason = f"has {len(mesh.uv_layers)} UV layers already, and Blender keeps no more than {MOST}"
-        return [Notice(obj.name, reason, "Remove one, or name the one to bake into", "error")]
+    if own_layer(obj):
+        return [Notice(obj.name, f"{why}; they are made anew", "", "info")]
     numbered = f' with a number, because it has one called "{NAME}"' if NAME in mesh.uv_layers else ""
     return [Notice(obj.name, f"has no lightmap UV layer yet; one is made{numbered}", "", "info")]
-
-
-def has_own_layer(mesh: bpy.types.Mesh) -> bool:
-    """Whether the mesh has the UV layer that was made for lightmaps."""
-    name = stored.read(mesh, STORED)
-    return name is not None and name in mesh.uv_layers
 
 
 def _attribute_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]:

@@ -17,8 +17,8 @@ from ...core.images.png import write_png
 from ...core.method.solution import Solution
 from ...core.receivers.base import Receivers
 from ...core.receivers.margin import fill_margin
-from ...core.receivers.pack import place_objects
-from ...core.receivers.texels import Lightmap, Placement, join, rasterize
+from ...core.receivers.texels import Lightmap, join, rasterize
+from ...core.receivers.unwrap import unwrap
 from ...core.scene.world import World
 from ..engine.pictures import exposure
 from ..host import files
@@ -29,14 +29,19 @@ from ..results.lightmap_uv import (
     check_uv_layer,
     find_uv_layer,
     in_one_square,
-    make_lightmap_uvs,
+    listed_errors,
+    notices,
+    outdated,
+    own_layer,
     paddings,
-    remove_lightmap_uv,
+    read_plan,
     shares_square,
+    write_plan,
 )
+from ..results.show import unhidden
 from . import outputs
-from .preflight import has_own_layer, receiving
-from .writer import Writer, find_objects
+from .preflight import receiving
+from .writer import Prepared, Writer, find_objects
 
 COMPONENTS = ("emitted", "direct", "indirect", "albedo")  # layers of the file with all parts
 
@@ -50,7 +55,6 @@ class Sheet:
     lightmap: Lightmap
     part: slice
     uv_layers: tuple[str, ...]
-    placement: dict[str, Placement]
 
     def image(self, values: np.ndarray, weight: np.ndarray, margin: int) -> tuple[np.ndarray, np.ndarray]:
         """Image (h, w, 3) float32 of `values` (n, 3) of all receivers, with its margin filled, and coverage (h, w) float32.
@@ -66,26 +70,22 @@ class TextureWriter(Writer):
     """One image for each sheet; with a folder also its EXR, an EXR of all components, and a PNG to look at."""
 
     @classmethod
-    def prepare(cls, context: bpy.types.Context, request: BakeRequest, world: World) -> list[Notice] | None:
-        """Make our UV layer on the meshes that receive and lack it, where no layer is named. All of them get one, or none.
+    def prepare(cls, context: bpy.types.Context, request: BakeRequest, world: World) -> Prepared | None:
+        """Make our UV layer for the objects that receive and lack it, or have one that does not fit any more, where no layer is named.
 
-        Those of an atlas share one square, unless some objects share a mesh or have a layer from before: then each has its own.
+        Those of an atlas share one square, so all of them get new layers where one does. All of them get one, or none.
         """
         if request.uv_layer:
             return None
-        group, size = receiving(world.scene, request), request.resolution
-        objects = [find_objects((world.scene.objects[i].uid,), world.scene.objects[i].source)[0] for i in group]
-        first = {obj.data: (i, obj) for i, obj in reversed(list(zip(group, objects, strict=True)))}
-        lacking = [pair for mesh, pair in first.items() if not has_own_layer(mesh)]
-        if not lacking:
-            return None
-        if request.atlas and len(lacking) == len(objects):
-            notices = make_lightmap_uvs(objects, size, paddings(size))
-        else:
-            squares = _squares(world, group, request) if request.atlas else {}
-            notices = _make_layers(lacking, {i: round(squares[i].scale[0] * size) if squares else size for i in group})
-        context.view_layer.update()
-        return list(notices)
+        indices = receiving(world.scene, request)
+        objects = [find_objects((world.scene.objects[i].uid,), world.scene.objects[i].source)[0] for i in indices]
+        with unhidden(context.view_layer):
+            groups, why = _to_unwrap(objects, request, context.evaluated_depsgraph_get())
+            made = _make_layers(groups, request.resolution) if groups else None
+        if made is not None:
+            made.notices[:0] = why
+            context.view_layer.update()
+        return made
 
     def place(self, context: bpy.types.Context) -> Receivers:
         """The texels of all sheets, one sheet after the other."""
@@ -107,17 +107,13 @@ class TextureWriter(Writer):
         for obj in found:
             layers.append(find_uv_layer(obj, request.uv_layer))
             self.notices += check_uv_layer(obj, layers[-1], depsgraph)
-        placement: dict[int, Placement] = {}
-        if not request.uv_layer and not (request.atlas and in_one_square(found)):
+        if not request.uv_layer and not request.atlas:
             self.notices += [_in_part(obj) for obj in found if shares_square(obj)]
-            # A layer that the user names is taken as packed for the atlas already.
-            placement = _squares(world, group, request) if request.atlas else {}
         layer_of = dict(zip(group, layers, strict=True))
-        lightmap = rasterize(world, group, layer_of, request.resolution, request.subsamples, placement)
+        lightmap = rasterize(world, group, layer_of, request.resolution, request.subsamples)
         self.notices += lightmap.warnings
         name = outputs.title(request, self.scene_name, objects[0].source)
-        by_name = {world.scene.objects[i].source: p for i, p in placement.items()}
-        return Sheet(name, uids, lightmap, slice(0), tuple(layers), by_name)
+        return Sheet(name, uids, lightmap, slice(0), tuple(layers))
 
     def write(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:
         """Every sheet: see the class."""
@@ -144,7 +140,6 @@ class TextureWriter(Writer):
             coverage,
             name=name,
             uv_layer=sheet.uv_layers[0],
-            placement=sheet.placement,
             file=file,
             folder=file.parent if file else None,
         )
@@ -170,25 +165,33 @@ class TextureWriter(Writer):
         return [parts, picture]
 
 
-def _make_layers(lacking: list[tuple[int, bpy.types.Object]], sides: dict[int, int]) -> list[Notice]:
-    """Unwrap each object for as many texels a side as `sides` says by its index; all get a layer, or none."""
-    notices: list[Notice] = []
-    made: list[bpy.types.Object] = []
-    for index, obj in lacking:
-        try:
-            notices += make_lightmap_uvs([obj], sides[index], paddings(sides[index]))
-        except AdjointError:
-            for other in made:
-                remove_lightmap_uv(other)
-            raise
-        made.append(obj)
-    return notices
+def _to_unwrap(
+    objects: list[bpy.types.Object], request: BakeRequest, depsgraph: bpy.types.Depsgraph
+) -> tuple[list[list[bpy.types.Object]], list[Notice]]:
+    """Objects that need new layers, in groups that share a square, and notices on those whose present layers do not fit any more."""
+    why = [(obj, outdated(obj, depsgraph)) for obj in objects]
+    told = [Notice(obj.name, f"{reason}; they are made anew", "", "info") for obj, reason in why if reason]
+    lacking = [obj for obj, reason in why if reason or not own_layer(obj)]
+    if not request.atlas:
+        return [[obj] for obj in lacking], told
+    together = not lacking and (len(objects) == 1 or in_one_square(objects))
+    return [] if together else [objects], told
 
 
-def _squares(world: World, group: list[int], request: BakeRequest) -> dict[int, Placement]:
-    """A square of the atlas for each object of `group`, by its area."""
-    area = {i: float(world.area[world.scene.objects[i].triangles].sum()) for i in group}
-    return place_objects(area, (request.resolution, request.resolution), max(1, min(8, request.margin)))
+def _make_layers(groups: list[list[bpy.types.Object]], resolution: int) -> Prepared:
+    """Unwrap each group into one image of `resolution`; all get their layers, or none."""
+    made = Prepared([])
+    try:
+        for objects in groups:
+            plan = read_plan(objects)
+            with listed_errors(objects):
+                unwrapped = unwrap([face.mesh for face in plan.faces], resolution, paddings(resolution))
+            made.undo.callback(write_plan(plan, unwrapped))
+            made.notices += notices(objects, unwrapped)
+    except AdjointError:
+        made.undo.close()
+        raise
+    return made
 
 
 def _in_part(obj: bpy.types.Object) -> Notice:

@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 
 from ...core.base.errors import Notice
+from ..results.lightmap_uv import layer_values
 
 
 @dataclass(frozen=True)
@@ -51,16 +52,12 @@ class Targets:
 
     def _same_layer(self, now: bpy.types.Object, seen: Print, thorough: bool) -> bool:
         name = self._layers.get(now.session_uid, "")
-        return not name or (name in now.data.uv_layers and (not thorough or self._uv(now) == seen.uv))
+        return not name or (layer_values(now, name) is not None and (not thorough or self._uv(now) == seen.uv))
 
     def _uv(self, obj: bpy.types.Object) -> int:
         """Checksum of the UV layer, 0 where there is none."""
-        layer = obj.data.uv_layers.get(self._layers.get(obj.session_uid, ""))
-        if layer is None:
-            return 0
-        values = np.empty(2 * len(obj.data.loops), np.float32)
-        layer.uv.foreach_get("vector", values)
-        return zlib.crc32(values.tobytes())
+        values = layer_values(obj, self._layers.get(obj.session_uid, ""))
+        return 0 if values is None else zlib.crc32(values.tobytes())
 
 
 def _counts(mesh: bpy.types.Mesh) -> tuple[int, int, int]:

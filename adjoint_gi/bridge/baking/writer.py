@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import abc
+import contextlib
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import bpy
@@ -14,6 +16,14 @@ from ...core.method.solution import Solution
 from ...core.receivers.base import Receivers
 from ...core.scene.world import World
 from ..props.request import BakeRequest
+
+
+@dataclass
+class Prepared:
+    """What was made on the objects before a bake: what there is to say of it, and what takes it back where the bake is refused later."""
+
+    notices: list[Notice]
+    undo: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
 
 class Writer(abc.ABC):
@@ -33,8 +43,8 @@ class Writer(abc.ABC):
         self.receivers = self.place(context)
 
     @classmethod
-    def prepare(cls, context: bpy.types.Context, request: BakeRequest, world: World) -> list[Notice] | None:
-        """Make what is missing on the objects before receivers can be placed; returns notices about it, None when nothing was made.
+    def prepare(cls, context: bpy.types.Context, request: BakeRequest, world: World) -> Prepared | None:
+        """Make what is missing on the objects before receivers can be placed; returns None when nothing was made.
 
         Where something was made, the scene has to be read again.
         """

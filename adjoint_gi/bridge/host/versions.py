@@ -75,3 +75,27 @@ def modifier_inputs(modifier: Any) -> list[Any]:
     if group is None:
         return [value for _, value in modifier.items()]
     return [getattr(getattr(group, p.identifier), "value", None) for p in group.bl_rna.properties if p.identifier != "rna_type"]
+
+
+def modifier_input(modifier: Any, name: str) -> Any:
+    """Value of the input called `name` of a Geometry Nodes modifier, None where it has no such input or no value."""
+    identifier = _input(modifier, name)
+    group = getattr(getattr(modifier, "properties", None), "inputs", None)
+    if group is None:
+        return modifier.get(identifier)
+    return getattr(getattr(group, identifier, None), "value", None)
+
+
+def set_modifier_input(modifier: Any, name: str, value: Any) -> None:
+    """Set it."""
+    group = getattr(getattr(modifier, "properties", None), "inputs", None)
+    if group is None:
+        modifier[_input(modifier, name)] = value
+    else:
+        getattr(group, _input(modifier, name)).value = value
+
+
+def _input(modifier: Any, name: str) -> str:
+    """Identifier of the input called `name`, empty where there is none."""
+    items = modifier.node_group.interface.items_tree
+    return next((i.identifier for i in items if i.item_type == "SOCKET" and i.in_out == "INPUT" and i.name == name), "")

@@ -1,4 +1,8 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """UV layers for lightmaps: choosing the one the user names, or making one without touching anything else of the mesh.
+
+A lightmap belongs to the evaluated mesh. Where that has the faces of the original one, which no other object uses, the layer stands on
+the original mesh, where a game export finds it; else a modifier of ours carries it (`carried`).
 
 Blender's own unwrapping needs edit mode, a selection and a context, and leaves traces in all three; so the layer is computed from
 the mesh's arrays (`core.receivers.unwrap`) and written in one go. It is the same in every version, with or without a window.
@@ -6,24 +10,24 @@ the mesh's arrays (`core.receivers.unwrap`) and written in one go. It is the sam
 
 from __future__ import annotations
 
+import contextlib
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
-from ...core.base.errors import Notice, SceneError, TargetError
-from ...core.receivers.charts import Mesh, carry
+from ...core.base.errors import Notice, TargetError
 from ...core.receivers.unwrap import Unwrapped, unwrap
+from . import carried, stored
 from . import links as targets
-from . import stored
-from .stored import SHARED
+from .faces import MeshFaces, read_faces
+from .stored import FACES, SHARED
 
 STORED = stored.UV  # custom property of the mesh: name of the layer made by us
 NAME = "Lightmap"  # what such a layer is called where nothing else is
 MOST = 8  # UV layers of a Blender mesh
-MULTIPLIES = {"ARRAY", "MIRROR", "SCREW", "SOLIDIFY", "BOOLEAN", "NODES", "REMESH", "SKIN", "BEVEL", "EXPLODE", "BUILD"}
 
 
 def find_uv_layer(obj: bpy.types.Object, name: str) -> str:
@@ -36,8 +40,8 @@ def find_uv_layer(obj: bpy.types.Object, name: str) -> str:
             have = ", ".join(f'"{x.name}"' for x in layers) or "none"
             raise TargetError(obj.name, f'there is no UV layer "{name}" (layers: {have})', "Choose one of them or make a lightmap layer")
         return name
-    made = stored.read(obj.data, STORED)
-    if made is not None and made in layers:
+    made = own_layer(obj)
+    if made:
         return made
     chosen = next((x.name for x in layers if x.active_render), "")
     if not chosen:
@@ -45,35 +49,122 @@ def find_uv_layer(obj: bpy.types.Object, name: str) -> str:
     return chosen
 
 
-def make_lightmap_uvs(objects: Sequence[bpy.types.Object], resolution: int, paddings: Sequence[int], name: str = NAME) -> list[Notice]:
-    """Make (or renew) our UV layers on the original meshes of `objects`, packed into one square that all of them share.
+def own_layer(obj: bpy.types.Object) -> str:
+    """Name of the layer made by us for `obj`, carried or on its mesh; empty where there is none."""
+    return carried.layer_name(obj) or _on_mesh(obj.data)
 
-    Charts do not overlap and lie as many texels apart in an image of `resolution` as the first of `paddings` that fits. Objects that share
-    a mesh share the layer; each mesh may be given once. The active and the render layer, the selection and everything else stay as they
-    are. All meshes get their layer, or none. Returns what there is to say. Raises TargetError for a linked mesh, edit mode, a ninth
-    layer, or more charts than fit; SceneError for a mesh that has no usable face.
+
+def layer_values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
+    """(corners, 2) float32 of the layer `name`, as it is carried or stands on the mesh of `obj`; None where there is none."""
+    if name and name == carried.layer_name(obj):
+        held = carried.carried(obj)
+        return held[0] if held is not None else None
+    layer = obj.data.uv_layers.get(name)
+    if layer is None:
+        return None
+    out = np.empty((len(obj.data.loops), 2), np.float32)
+    layer.uv.foreach_get("vector", out.reshape(-1))
+    return out
+
+
+def outdated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> str:
+    """Why the layer made by us does not fit `obj` any more, as the words after its name; empty where it does, or where there is none."""
+    if carried.carrier(obj) is None:
+        if not _on_mesh(obj.data):
+            return ""
+        if carried.must_carry(obj):
+            return "has got modifiers that make faces, or shares its mesh, since its lightmap UVs were made"
+        now = _print(obj.data)
+        return "has got other faces since its lightmap UVs were made" if (stored.read(obj.data, FACES) or now) != now else ""
+    if not carried.must_carry(obj) and _room(obj):
+        return "has lost the modifiers that its lightmap UVs were made for"
+    if not carried.belongs_to(obj):
+        return "is a copy and has the lightmap UVs of its original"
+    lost = carried.out_of_place(obj) or not _has_place(obj.evaluated_get(depsgraph).data, carried.layer_name(obj))
+    return "has got other faces since its lightmap UVs were made" if lost else ""
+
+
+def check_target(obj: bpy.types.Object) -> None:
+    """Raise TargetError unless `obj` can have a layer of ours: not of another file, and its mesh in edit mode on no object."""
+    targets.check_object(obj)
+    targets.check_edit_mode(obj)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What is unwrapped for some objects, read from Blender: `faces` of each, and whether its layer is to be `carried`."""
+
+    objects: tuple[bpy.types.Object, ...]
+    faces: tuple[MeshFaces, ...]
+    carried: tuple[bool, ...]
+    vertices: tuple[np.ndarray, ...]  # (corners,) int32 vertex of each corner
+    names: tuple[frozenset[str], ...]  # attributes that the meshes have
+
+
+def read_plan(objects: Sequence[bpy.types.Object], view_layer: bpy.types.ViewLayer | None = None) -> Plan:
+    """The meshes of `objects` as they are to be unwrapped: evaluated where the layer must be carried. Nothing is changed.
+
+    Raises TargetError for an object of another file and for edit mode, SceneError for a mesh that has no usable face.
     """
     for obj in objects:
-        targets.check_mesh(obj)
-        if not _own(obj.data) and len(obj.data.uv_layers) >= MOST:
-            reason = f"has {MOST} UV layers already, the most a mesh can hold"
-            raise TargetError(obj.name, reason, "Remove one, or choose one for the lightmap")
-    faces = [read_faces(obj) for obj in objects]
+        check_target(obj)
+    view_layer = view_layer or bpy.context.view_layer
+    carry = [carried.must_carry(obj) or not _room(obj) for obj in objects]
+    found = []
+    with carried.stage([o for o, c in zip(objects, carry, strict=True) if c], view_layer):
+        depsgraph = view_layer.depsgraph
+        for obj, c in zip(objects, carry, strict=True):
+            mesh = obj.evaluated_get(depsgraph).data if c else obj.data
+            found.append((read_faces(obj, mesh), _corner_vertices(mesh), frozenset(a.name for a in mesh.attributes)))
+    faces, vertices, names = zip(*found, strict=True) if found else ((), (), ())
+    return Plan(tuple(objects), faces, tuple(carry), vertices, names)
+
+
+def write_plan(plan: Plan, unwrapped: Unwrapped, name: str = NAME) -> Callable[[], None]:
+    """Give the objects of `plan` the layers `unwrapped`; returns what takes that back. All get their layer, or none.
+
+    Raises TargetError where a layer cannot be added.
+    """
+    carrying = {obj for obj, carry in zip(plan.objects, plan.carried, strict=True) if carry}
+    with contextlib.ExitStack() as back:
+        for obj in plan.objects:
+            back.callback(_snapshot(obj))
+        for k, (obj, face, uv) in enumerate(zip(plan.objects, plan.faces, unwrapped.uvs, strict=True)):
+            if plan.carried[k]:
+                mine = _on_mesh(obj.data)
+                taken = plan.names[k] - {mine} if _remove_from_mesh(obj, carrying) else plan.names[k]
+                carried.carry(obj, _free(obj, name, taken), face.spread(uv), plan.vertices[k])
+            else:
+                carried.drop(obj)
+                _write_layer(obj, name, face.spread(uv))
+        _mark_shared(plan.objects, unwrapped)
+        return back.pop_all().close
+
+
+def make_lightmap_uvs(
+    objects: Sequence[bpy.types.Object], resolution: int, paddings: Sequence[int], name: str = NAME, density: np.ndarray | None = None
+) -> list[Notice]:
+    """Make (or renew) our UV layers of `objects`, packed into one square that all of them share.
+
+    Charts do not overlap and lie as many texels apart in an image of `resolution` as the first of `paddings` that fits; `density` is
+    that of `unwrap`. The active and the render layer, the selection and everything else stay as they are. All objects get their
+    layer, or none. Returns what there is to say. Raises TargetError for an object of another file, edit mode, or more charts than fit;
+    SceneError for a mesh that has no usable face.
+    """
+    plan = read_plan(objects)
+    with listed_errors(objects):
+        unwrapped = unwrap([face.mesh for face in plan.faces], resolution, paddings)
+    write_plan(plan, unwrapped, name)
+    return notices(objects, unwrapped)
+
+
+@contextlib.contextmanager
+def listed_errors(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
+    """Errors of unwrapping name `objects`."""
     try:
-        unwrapped = unwrap([face.mesh for face in faces], resolution, paddings)
+        yield
     except TargetError as error:
         raise TargetError(_listed(objects), error.notice.reason, error.notice.remedy) from error
-    written: list[bpy.types.Object] = []
-    try:
-        for obj, face, uv in zip(objects, faces, unwrapped.uvs, strict=True):
-            written.append(obj)
-            _write_layer(obj, name, face.spread(uv))
-    except TargetError:
-        for obj in written:
-            remove_lightmap_uv(obj)
-        raise
-    _mark_shared(objects, unwrapped)
-    return _notices(objects, unwrapped)
 
 
 def paddings(resolution: int) -> tuple[int, ...]:
@@ -83,7 +174,7 @@ def paddings(resolution: int) -> tuple[int, ...]:
 
 def in_one_square(objects: Sequence[bpy.types.Object]) -> bool:
     """Whether the layers made by us on `objects` were packed together, so that no two of them lie on one another."""
-    places = [(stored.read(obj.data, SHARED) or "").split("/") for obj in objects]
+    places = [(stored.read(_marked(obj), SHARED) or "").split("/") for obj in objects]
     return (
         all(len(place) == 2 for place in places)
         and len({square for square, _ in places}) == 1
@@ -93,27 +184,16 @@ def in_one_square(objects: Sequence[bpy.types.Object]) -> bool:
 
 def shares_square(obj: bpy.types.Object) -> bool:
     """Whether the layer made by us on `obj` was packed with those of other objects, so that it fills only a part of the image."""
-    return stored.read(obj.data, SHARED) is not None
+    return stored.read(_marked(obj), SHARED) is not None
 
 
-def remove_lightmap_uv(obj: bpy.types.Object) -> bool:
-    """Remove the layer made by us; returns whether there was one. The user's active and render layers stay."""
-    mesh = obj.data
-    name = stored.read(mesh, STORED)
-    if name is None:
-        return False
-    if name in mesh.uv_layers:
-        active = mesh.uv_layers.active.name if mesh.uv_layers.active else ""
-        render = next((x.name for x in mesh.uv_layers if x.active_render), "")
-        mesh.uv_layers.remove(mesh.uv_layers[name])
-        if active in mesh.uv_layers:
-            mesh.uv_layers.active = mesh.uv_layers[active]
-        if render in mesh.uv_layers:
-            mesh.uv_layers[render].active_render = True
-    del mesh[STORED]
-    if SHARED in mesh:
-        del mesh[SHARED]
-    return True
+def remove_lightmap_uv(obj: bpy.types.Object, going: Set[bpy.types.Object] = frozenset()) -> bool:
+    """Remove the layer made by us; returns whether there was one. The user's active and render layers stay.
+
+    One on a mesh that other objects use stays, unless they are among those that are `going` to lose it, too.
+    """
+    dropped = carried.drop(obj)
+    return _remove_from_mesh(obj, going) or dropped
 
 
 def check_uv_layer(obj: bpy.types.Object, name: str, depsgraph: bpy.types.Depsgraph) -> tuple[Notice, ...]:
@@ -127,52 +207,14 @@ def check_uv_layer(obj: bpy.types.Object, name: str, depsgraph: bpy.types.Depsgr
         more = len(mesh.polygons) > len(obj.data.polygons)
     finally:
         evaluated.to_mesh_clear()
-    guilty = [m.name for m in obj.modifiers if m.type in MULTIPLIES and (m.show_viewport or m.show_render)]
-    if more and guilty:
+    guilty = [m.name for m in obj.modifiers if m.type not in carried.KEEPS_UVS and (m.show_viewport or m.show_render)]
+    if more and guilty and name != own_layer(obj):
         reason = f"modifier {', '.join(guilty)} adds faces, which may lie on the same texels as the original ones"
-        return (Notice(obj.name, reason, "Apply the modifier and make the layer again, or bake to a color attribute"),)
+        return (Notice(obj.name, reason, "Name no UV layer: then one is made for the mesh as the modifiers make it"),)
     return ()
 
 
-def _own(mesh: bpy.types.Mesh) -> str:
-    """Name of the layer made by us, empty where there is none."""
-    name = stored.read(mesh, STORED)
-    return name if name is not None and name in mesh.uv_layers else ""
-
-
-def _write_layer(obj: bpy.types.Object, name: str, uv: np.ndarray) -> None:
-    """Write `uv` (corners, 2) float32 to our layer, made as `name` where there is none. Raises TargetError."""
-    mesh = obj.data
-    active, render = mesh.uv_layers.active_index, next((i for i, x in enumerate(mesh.uv_layers) if x.active_render), -1)
-    old = _own(mesh)
-    layer = mesh.uv_layers[old] if old else mesh.uv_layers.new(name=name, do_init=False)
-    if layer is None:
-        raise TargetError(obj.name, f'UV layer "{name}" could not be added', "Remove another UV layer")
-    made = layer.name
-    layer.uv.foreach_set("vector", uv.ravel())
-    mesh[STORED] = made
-    if render >= 0:
-        mesh.uv_layers.active_index = active
-        mesh.uv_layers[render].active_render = True
-    mesh.update()
-
-
-def _mark_shared(objects: Sequence[bpy.types.Object], unwrapped: Unwrapped) -> None:
-    """Note on the meshes that their layers lie in one square; a single object has its own."""
-    square = zlib.crc32(b"".join(uv.tobytes() for uv in unwrapped.uvs))
-    for number, obj in enumerate(objects):
-        if len(objects) > 1:
-            obj.data[SHARED] = f"{square:08x}/{number}"
-        elif SHARED in obj.data:
-            del obj.data[SHARED]
-
-
-def _listed(objects: Sequence[bpy.types.Object]) -> str:
-    names = [obj.name for obj in objects]
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-
-
-def _notices(objects: Sequence[bpy.types.Object], unwrapped: Unwrapped) -> list[Notice]:
+def notices(objects: Sequence[bpy.types.Object], unwrapped: Unwrapped) -> list[Notice]:
     """What the user should know of how it was unwrapped."""
     if not unwrapped.projected:
         return []
@@ -180,74 +222,129 @@ def _notices(objects: Sequence[bpy.types.Object], unwrapped: Unwrapped) -> list[
     return [Notice(_listed(objects), reason, "Raise the resolution, or unwrap it yourself and name the UV layer", "info")]
 
 
-@dataclass(frozen=True, eq=False)
-class MeshFaces:
-    """The triangles of a Blender mesh, in the object's size in the world so that texels are as large on all sides.
-
-    mesh        what is unwrapped: the triangles that have an area and a position
-    point       (nt, 3, 3) float64 positions of the corners of all triangles
-    corners     (nt, 3) int32 corners (loops) of the Blender mesh
-    polygon     (nt,) int32 face of each triangle
-    area, good  (nt,) float64 and bool: twice the area, and whether it is a triangle of `mesh`
-    count       number of corners of the Blender mesh
-    """
-
-    mesh: Mesh
-    point: np.ndarray
-    corners: np.ndarray
-    polygon: np.ndarray
-    area: np.ndarray
-    good: np.ndarray
-    count: int
-
-    def spread(self, uv: np.ndarray) -> np.ndarray:
-        """(count, 2) float32 UV of all corners from `uv` (n, 3, 2) of the triangles of `mesh`.
-
-        Faces without an area or a position get the corner of the image and no texel, as in the extraction.
-        """
-        out = np.zeros((self.count, 2), np.float32)
-        out[self.corners[self.good]] = uv
-        self._carry_on(out)
-        return out
-
-    def _carry_on(self, out: np.ndarray) -> None:
-        """Give corners that only flat triangles have the place to which the largest triangle of their face maps them.
-
-        A modifier may cut the face along another diagonal, and then these corners are those of triangles with an area.
-        """
-        own = np.zeros(len(out), bool)
-        own[self.corners[self.good]] = True
-        which, k = np.nonzero(~self.good[:, None] & ~own[self.corners] & np.isfinite(self.point).all(axis=2))
-        order = np.flatnonzero(self.good)[np.argsort(self.area[self.good], kind="stable")]
-        largest = np.full(int(self.polygon.max(initial=-1)) + 1, -1)
-        largest[self.polygon[order]] = order  # the last of equal indices stays
-        base = largest[self.polygon[which]]
-        which, k, base = which[base >= 0], k[base >= 0], base[base >= 0]
-        uv = out[self.corners[base]].astype(np.float64)
-        out[self.corners[which, k]] = carry(self.point[base], uv, self.point[which, k][:, None])[:, 0]
+# ---- layers on meshes
 
 
-def read_faces(obj: bpy.types.Object) -> MeshFaces:
-    """The faces of the original mesh of `obj`; raises SceneError where none can be unwrapped."""
+def _on_mesh(mesh: bpy.types.Mesh) -> str:
+    """Name of the layer on `mesh` made by us, empty where there is none."""
+    name = stored.read(mesh, STORED)
+    return name if name is not None and name in mesh.uv_layers else ""
+
+
+def _room(obj: bpy.types.Object) -> bool:
+    """Whether the mesh has a layer of ours, or can get one."""
+    return bool(_on_mesh(obj.data)) or len(obj.data.uv_layers) < MOST
+
+
+def _write_layer(obj: bpy.types.Object, name: str, uv: np.ndarray) -> None:
+    """Write `uv` (corners, 2) float32 to our layer, made as `name` where there is none. Raises TargetError."""
     mesh = obj.data
-    if not mesh.polygons:
-        raise SceneError(obj.name, "has no faces to unwrap", "Give it faces")
-    vertices = np.empty(len(mesh.vertices) * 3, np.float32)
-    mesh.vertices.foreach_get("co", vertices)
-    vertices = vertices.reshape(-1, 3).astype(np.float64) @ np.array(obj.matrix_world.to_3x3(), np.float64).T
-    loops = mesh.loop_triangles
-    count = len(loops)
-    triangles, corners, polygon = np.empty(count * 3, np.int32), np.empty(count * 3, np.int32), np.empty(count, np.int32)
-    loops.foreach_get("vertices", triangles)
-    loops.foreach_get("loops", corners)
-    loops.foreach_get("polygon_index", polygon)
-    triangles, corners = triangles.reshape(-1, 3), corners.reshape(-1, 3)
-    with np.errstate(invalid="ignore", over="ignore"):
-        point = vertices[triangles]
-        good = np.isfinite(point).all(axis=(1, 2)) & (np.abs(np.nan_to_num(point)).max(axis=(1, 2)) <= 1e12)
-        area = np.linalg.norm(np.cross(point[:, 1] - point[:, 0], point[:, 2] - point[:, 0]), axis=1)
-        good &= area > 0
-    if not good.any():
-        raise SceneError(obj.name, "has no face with an area", "Give it faces with an area, and no scale of 0")
-    flat = Mesh(np.where(np.isfinite(vertices), vertices, 0.0), triangles[good].astype(np.int64), polygon[good])
-    return MeshFaces(flat, point, corners, polygon, area, good, len(mesh.loops))
+    active, render = mesh.uv_layers.active_index, next((i for i, x in enumerate(mesh.uv_layers) if x.active_render), -1)
+    old = _on_mesh(mesh)
+    layer = mesh.uv_layers[old] if old else mesh.uv_layers.new(name=name, do_init=False)
+    if layer is None:
+        raise TargetError(obj.name, f'UV layer "{name}" could not be added', "Remove another UV layer")
+    made = layer.name
+    layer.uv.foreach_set("vector", uv.ravel())
+    mesh[STORED], mesh[FACES] = made, _print(mesh)
+    if render >= 0:
+        mesh.uv_layers.active_index = active
+        mesh.uv_layers[render].active_render = True
+    mesh.update()
+
+
+def _remove_from_mesh(obj: bpy.types.Object, going: Set[bpy.types.Object] = frozenset()) -> bool:
+    """Remove our layer from the mesh, if that may be changed and nothing needs it but `obj` and those that are `going` to do without.
+
+    Returns whether one went.
+    """
+    mesh = obj.data
+    name = stored.read(mesh, STORED)
+    others = [o for o in targets.sharing(obj) if o not in going and not carried.layer_name(o)]
+    if name is None or others or targets.linked(obj, True) is not None:
+        return False
+    if name in mesh.uv_layers:
+        active = mesh.uv_layers.active.name if mesh.uv_layers.active else ""
+        render = next((x.name for x in mesh.uv_layers if x.active_render), "")
+        mesh.uv_layers.remove(mesh.uv_layers[name])
+        if active in mesh.uv_layers:
+            mesh.uv_layers.active = mesh.uv_layers[active]
+        if render in mesh.uv_layers:
+            mesh.uv_layers[render].active_render = True
+    for key in (STORED, SHARED, FACES):
+        if key in mesh:
+            del mesh[key]
+    return True
+
+
+def _print(mesh: bpy.types.Mesh) -> str:
+    """Checksum of the faces: the vertices of all corners, and where faces start."""
+    starts = np.empty(len(mesh.polygons), np.int32)
+    mesh.polygons.foreach_get("loop_start", starts)
+    return f"{zlib.crc32(starts.tobytes(), zlib.crc32(_corner_vertices(mesh).tobytes())):08x}"
+
+
+def _corner_vertices(mesh: bpy.types.Mesh) -> np.ndarray:
+    out = np.empty(len(mesh.loops), np.int32)
+    mesh.loops.foreach_get("vertex_index", out)
+    return out
+
+
+# ---- layers of both kinds
+
+
+def _marked(obj: bpy.types.Object) -> bpy.types.ID:
+    """Where it is noted what our layer of `obj` shares its square with."""
+    return carried.holder(obj) or obj.data
+
+
+def _free(obj: bpy.types.Object, name: str, taken: frozenset[str]) -> str:
+    """The name that `obj` carries its layer by: its present one, else `name`, with a number where the mesh has something so called."""
+    old = carried.layer_name(obj)
+    if old:
+        return old
+    numbered = (f"{name}.{k:03d}" for k in range(1, 1000))
+    return name if name not in taken else next(n for n in numbered if n not in taken)
+
+
+def _has_place(mesh: bpy.types.Mesh, name: str) -> bool:
+    """Whether the evaluated `mesh` has the carried layer, and not what stands for changed faces."""
+    layer = mesh.uv_layers.get(name)
+    if layer is None or not len(mesh.loops):
+        return False
+    return tuple(layer.uv[0].vector) != carried.NO_PLACE[:2]
+
+
+def _snapshot(obj: bpy.types.Object) -> Callable[[], None]:
+    """What puts our layer of `obj` back as it is now."""
+    name, before = carried.layer_name(obj), carried.carried(obj)
+    layer = _on_mesh(obj.data)
+    uv = layer_values(obj, layer) if layer else None
+    marks = {key: _marked(obj)[key] for key in (SHARED, FACES) if key in _marked(obj)}
+
+    def restore() -> None:
+        remove_lightmap_uv(obj)
+        if before is not None:
+            carried.carry(obj, name, *before)
+        elif uv is not None:
+            _write_layer(obj, layer, uv)
+        for key, value in marks.items():
+            _marked(obj)[key] = value
+
+    return restore
+
+
+def _mark_shared(objects: Sequence[bpy.types.Object], unwrapped: Unwrapped) -> None:
+    """Note beside the layers that they lie in one square; a single object has its own."""
+    square = zlib.crc32(b"".join(uv.tobytes() for uv in unwrapped.uvs))
+    for number, obj in enumerate(objects):
+        marked = _marked(obj)
+        if len(objects) > 1:
+            marked[SHARED] = f"{square:08x}/{number}"
+        elif SHARED in marked:
+            del marked[SHARED]
+
+
+def _listed(objects: Sequence[bpy.types.Object]) -> str:
+    names = [obj.name for obj in objects]
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")

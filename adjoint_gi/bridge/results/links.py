@@ -33,6 +33,11 @@ def check_mesh(obj: bpy.types.Object) -> None:
     error = linked(obj, True)
     if error is not None:
         raise error
+    check_edit_mode(obj)
+
+
+def check_edit_mode(obj: bpy.types.Object) -> None:
+    """Raise TargetError where the mesh of `obj` is in edit mode, on whatever object."""
     mesh = obj.data
     if any(other.data == mesh and other.mode == "EDIT" for other in bpy.data.objects if other.type == "MESH"):
         raise TargetError(obj.name, "its mesh is in edit mode", "Leave edit mode first")

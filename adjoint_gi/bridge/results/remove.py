@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from . import links, stored
+from . import carried, links, stored
 from .attribute import STORED, remove_attributes, remove_result_object, result_object
 from .image import remove_images
 from .lightmap_uv import STORED as STORED_UV
@@ -23,15 +23,18 @@ def remove_results(scene: bpy.types.Scene) -> dict[str, int]:
     changed = [o for o in objects if _has_layers(o) and {other.session_uid for other in links.sharing(o)} <= own]
     for obj in changed:
         links.check_mesh(obj)
+    layered = [o for o in objects if o in changed or carried.carrier(o) is not None]
     made = sum(result_object(o) is not None and remove_result_object(o) for o in objects)
     images = remove_images(objects)
     for obj in objects:
         links.forget(obj)
+    layers = sum(remove_lightmap_uv(o, set(changed)) for o in layered)
+    carried.drop_orphans()
     return {
         "object": made,
         "image": images,
         "attribute": sum(remove_attributes(o) for o in changed),
-        "UV layer": sum(remove_lightmap_uv(o) for o in changed),
+        "UV layer": layers,
         "damaged property of a bake": stored.drop_damaged(),
     }
 

@@ -20,7 +20,9 @@ STATE = "adjoint_gi_preview"  # of objects that show a result: their slots befor
 HIDDEN = "adjoint_gi_hidden"  # of objects that were hidden for a preview: where, in favour of which, and what was selected
 ATTRIBUTES = "adjoint_gi_attributes"  # of meshes: key -> JSON list of our attributes
 UV = "adjoint_gi_uv"  # of meshes: name of the layer made by us
-SHARED = "adjoint_gi_uv_atlas"  # of meshes: which square that layer shares with others, and its number there
+SHARED = "adjoint_gi_uv_atlas"  # of meshes and HOLDERs: which square that layer shares with others, and its number there
+FACES = "adjoint_gi_uv_faces"  # of meshes: checksum of the faces that the layer was made for
+HOLDER = "adjoint_gi_uv_holder"  # of hidden objects whose vertices are UVs, see `carried`
 ADDED = "adjoint_gi_slot"  # of meshes without slots, which got one for the preview
 ABOUT = "adjoint_gi_about"  # of images and meshes: JSON that describes the result
 OURS = "adjoint_gi_material"  # of materials of a preview
@@ -165,6 +167,8 @@ PROPERTIES: dict[str, Callable[[Any], bool]] = {
     ATTRIBUTES: _is_group,
     UV: _is_text,
     SHARED: _is_text,
+    FACES: _is_text,
+    HOLDER: _is_on,
     ADDED: _is_on,
     ABOUT: _is_text,
     OURS: _is_on,

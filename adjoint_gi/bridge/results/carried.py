@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lightmap UVs of the evaluated mesh, carried by a modifier of ours, so that nothing is applied and no mesh of the user is changed.
+
+A hidden object has one loose vertex for each corner of the evaluated mesh: x and y are the corner's UV, z is the vertex it belongs to.
+A geometry-nodes modifier, whose node group all objects share, samples them by index and stores them as a named attribute on corners,
+which is a UV map to everything behind it. Where count or vertices of the corners are others by now, every corner gets `NO_PLACE`.
+
+The modifier is the last one and is kept there. Only subdivision behind everything else stays behind it: it carries UVs on by itself,
+and has other levels in renders than in the viewport.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+
+import bpy
+import numpy as np
+
+from ..host.versions import modifier_input, set_modifier_input
+from . import links as targets
+from . import stored
+from .attribute import KEEPS_TOPOLOGY
+from .stored import HOLDER, TREE
+
+KIND = "carry"  # value of our custom property of node groups that says which group this is
+GROUP = "Adjoint GI Lightmap UV"
+NO_PLACE = (-1.0, -1.0, 0.0)  # the UV of a mesh that the layer was not made for; no texel lies there
+SUBDIVIDES = {"SUBSURF", "MULTIRES"}
+# Modifiers behind which UVs of the mesh before them are still without overlap: those of others would lie on the same texels.
+KEEPS_UVS = KEEPS_TOPOLOGY | SUBDIVIDES | {"TRIANGULATE", "EDGE_SPLIT", "PARTICLE_SYSTEM", "COLLISION", "SURFACE"}
+CHANGED = "The mesh has changed since its lightmap UVs were made. Renew them and bake again"
+
+
+def must_carry(obj: bpy.types.Object) -> bool:
+    """Whether UVs on the mesh itself would not do: modifiers make faces, other objects use the mesh, or it belongs to another file."""
+    return any(m.type not in KEEPS_UVS for m in _enabled(obj)) or targets.linked(obj, True) is not None or bool(targets.sharing(obj))
+
+
+def carrier(obj: bpy.types.Object) -> bpy.types.Modifier | None:
+    """Our modifier on `obj`."""
+    return next((m for m in obj.modifiers if is_ours(m)), None)
+
+
+def is_ours(modifier: bpy.types.Modifier) -> bool:
+    """Whether it is one that carries lightmap UVs."""
+    return modifier.type == "NODES" and modifier.node_group is not None and stored.read(modifier.node_group, TREE) == KIND
+
+
+def layer_name(obj: bpy.types.Object) -> str:
+    """Name of the UV map that is carried, empty where there is none."""
+    modifier = carrier(obj)
+    return str(modifier_input(modifier, "Name") or "") if modifier is not None else ""
+
+
+def holder(obj: bpy.types.Object) -> bpy.types.Object | None:
+    """The hidden object whose vertices are the UVs of `obj`; None where it is lost."""
+    modifier = carrier(obj)
+    found = modifier_input(modifier, "UVs") if modifier is not None else None
+    return found if isinstance(found, bpy.types.Object) and found.type == "MESH" and stored.read(found, HOLDER) else None
+
+
+def belongs_to(obj: bpy.types.Object) -> bool:
+    """Whether what `obj` carries is its alone: a copy of an object carries the layer of its original."""
+    own = holder(obj)
+    return own is not None and not any(holder(other) == own for other in bpy.data.objects if other != obj and other.type == "MESH")
+
+
+@contextlib.contextmanager
+def stage(objects: Sequence[bpy.types.Object], view_layer: bpy.types.ViewLayer) -> Iterator[None]:
+    """The evaluated meshes of `objects` are, for a while, those that our modifier gets: without subdivision that comes after it."""
+    behind = [m for obj in objects for m in _behind(obj) if m.show_viewport]
+    try:
+        for modifier in behind:
+            modifier.show_viewport = False
+        view_layer.update()
+        yield
+    finally:
+        for modifier in behind:
+            modifier.show_viewport = True
+        if behind:
+            view_layer.update()
+
+
+def carry(obj: bpy.types.Object, name: str, uv: np.ndarray, vertex: np.ndarray) -> None:
+    """Have `obj` carry `uv` (n, 2) float32 of the corners of its evaluated mesh at our `stage`, which belong to `vertex` (n,) int32.
+
+    The UV map is called `name`. What it carried before is replaced.
+    """
+    modifier, old = carrier(obj), holder(obj)
+    own = old if belongs_to(obj) else None
+    if own is None:
+        own = bpy.data.objects.new(f"{obj.name} {name}", bpy.data.meshes.new(f"{obj.name} {name}"))
+        own[HOLDER] = True
+    _fill(own.data, uv, vertex)
+    if modifier is None:
+        modifier = obj.modifiers.new(GROUP, "NODES")
+        modifier.show_expanded = False
+        modifier.node_group = node_group()
+    set_modifier_input(modifier, "UVs", own)
+    set_modifier_input(modifier, "Name", name)
+    modifier.node_group = modifier.node_group  # only so the depsgraph learns of another object
+    _place(obj, modifier)
+    obj.update_tag()
+    if old is not None and old.users == 0:
+        _remove(old)
+
+
+def carried(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray] | None:
+    """UV (n, 2) float32 and vertex (n,) int32 of every corner as given to `carry`; None where there is nothing."""
+    own = holder(obj)
+    if own is None:
+        return None
+    points = np.empty(3 * len(own.data.vertices), np.float32)
+    own.data.vertices.foreach_get("co", points)
+    points = points.reshape(-1, 3)
+    return points[:, :2].copy(), points[:, 2].astype(np.int32)
+
+
+def drop(obj: bpy.types.Object) -> bool:
+    """Remove our modifier from `obj`, and what only it needs; returns whether there was one."""
+    modifier = carrier(obj)
+    if modifier is None:
+        return False
+    own, tree = holder(obj), modifier.node_group
+    set_modifier_input(modifier, "UVs", None)  # Blender 5.2 does not count a user less when the modifier goes
+    obj.modifiers.remove(modifier)
+    if own is not None and own.users == 0:
+        _remove(own)
+    if tree.users == 0:
+        bpy.data.node_groups.remove(tree)
+    return True
+
+
+def drop_orphans() -> None:
+    """Remove hidden objects, and the node group, that nothing needs any more because objects or modifiers were deleted."""
+    needed = {holder(o) for o in bpy.data.objects if o.type == "MESH"}
+    for obj in [o for o in bpy.data.objects if stored.read(o, HOLDER) and o not in needed]:
+        _remove(obj)
+    for tree in [t for t in bpy.data.node_groups if stored.read(t, TREE) == KIND and t.users == 0]:
+        bpy.data.node_groups.remove(tree)
+
+
+def node_group() -> bpy.types.NodeTree:
+    """Our node group, made once for each file: see the head of this file."""
+    for tree in bpy.data.node_groups:
+        if stored.read(tree, TREE) == KIND and tree.library is None:
+            return tree
+    tree = bpy.data.node_groups.new(GROUP, "GeometryNodeTree")
+    tree[TREE] = KIND
+    for name, kind in (("Geometry", "Geometry"), ("UVs", "Object"), ("Name", "String")):
+        tree.interface.new_socket(name, in_out="INPUT", socket_type=f"NodeSocket{kind}")
+    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    start, end = _node(tree, "NodeGroupInput"), _node(tree, "NodeGroupOutput")
+    mesh = start.outputs["Geometry"]
+    held = _node(tree, "GeometryNodeObjectInfo", Object=start.outputs["UVs"]).outputs["Geometry"]
+
+    # Step 1: what is held for each corner.
+    here = _node(tree, "GeometryNodeInputIndex").outputs["Index"]
+    sample = _node(tree, "GeometryNodeSampleIndex", data_type="FLOAT_VECTOR", domain="POINT", Geometry=held, Index=here)
+    tree.links.new(_node(tree, "GeometryNodeInputPosition").outputs["Position"], _socket(sample.inputs, "Value"))
+    point = _socket(sample.outputs, "Value")
+
+    # Step 2: whether it is for this mesh: as many corners, each of the same vertex.
+    corners = _node(tree, "GeometryNodeAttributeDomainSize", Geometry=mesh).outputs["Face Corner Count"]
+    points = _node(tree, "GeometryNodeAttributeDomainSize", Geometry=held).outputs["Point Count"]
+    others = _node(tree, "FunctionNodeCompare", data_type="INT", operation="NOT_EQUAL", A=corners, B=points)
+    vertex = _node(tree, "GeometryNodeVertexOfCorner").outputs["Vertex Index"]
+    expected = _node(tree, "ShaderNodeSeparateXYZ", Vector=point).outputs["Z"]
+    differs = _node(tree, "FunctionNodeCompare", data_type="FLOAT", operation="NOT_EQUAL", A=vertex, B=expected)
+    _socket(differs.inputs, "Epsilon").default_value = 0.5
+    most = _node(tree, "GeometryNodeAttributeStatistic", domain="CORNER", Geometry=mesh, Attribute=differs.outputs["Result"])
+    changed = _node(tree, "FunctionNodeBooleanMath", operation="OR")
+    tree.links.new(others.outputs["Result"], changed.inputs[0])
+    tree.links.new(_socket(most.outputs, "Max"), changed.inputs[1])
+
+    # Step 3: the UV map.
+    choice = _node(tree, "GeometryNodeSwitch", input_type="VECTOR", Switch=changed.outputs[0], False_=point)
+    _socket(choice.inputs, "True").default_value = NO_PLACE
+    uv = _socket(choice.outputs, "Output")
+    store = _node(tree, "GeometryNodeStoreNamedAttribute", data_type="FLOAT2", domain="CORNER", Geometry=mesh, Value=uv)
+    tree.links.new(start.outputs["Name"], store.inputs["Name"])
+    tree.links.new(store.outputs["Geometry"], end.inputs["Geometry"])
+    _warn(tree, changed.outputs[0])
+    return tree
+
+
+def _warn(tree: bpy.types.NodeTree, changed: bpy.types.NodeSocket) -> None:
+    """Have the modifier say so where the mesh has `changed`; Blender 4.2 knows no such node."""
+    if hasattr(bpy.types, "GeometryNodeWarning"):
+        warning = _node(tree, "GeometryNodeWarning", Show=changed)
+        _socket(warning.inputs, "Message").default_value = CHANGED
+        if hasattr(warning, "warning_type"):
+            warning.warning_type = "WARNING"
+
+
+def _node(tree: bpy.types.NodeTree, kind: str, **values: str | bpy.types.NodeSocket) -> bpy.types.Node:
+    """A new node with properties, and links from sockets to its inputs of these names (`False_` for False)."""
+    node = tree.nodes.new(kind)
+    node.location = (180 * (len(tree.nodes) // 3), -220 * (len(tree.nodes) % 3))
+    for name, value in values.items():
+        if not isinstance(value, bpy.types.NodeSocket):
+            setattr(node, name, value)
+    for name, value in values.items():
+        if isinstance(value, bpy.types.NodeSocket):
+            tree.links.new(value, _socket(node.inputs, name.rstrip("_")))
+    return node
+
+
+def _socket(sockets: Sequence[bpy.types.NodeSocket], name: str) -> bpy.types.NodeSocket:
+    """The one called `name` that is in use: before Blender 5.2 a node has one of each name for every type of data."""
+    return next(s for s in sockets if s.name == name and s.enabled)
+
+
+def _fill(mesh: bpy.types.Mesh, uv: np.ndarray, vertex: np.ndarray) -> None:
+    """Make `mesh` one loose vertex for each corner. The datablock stays: an undo step may know pointers to it."""
+    mesh.clear_geometry()
+    mesh.vertices.add(len(uv))
+    mesh.vertices.foreach_set("co", np.column_stack([uv, vertex]).astype(np.float32).ravel())
+    mesh.update()
+
+
+def _remove(own: bpy.types.Object) -> None:
+    mesh = own.data
+    bpy.data.objects.remove(own)
+    if mesh.users == 0:
+        bpy.data.meshes.remove(mesh)
+
+
+def _enabled(obj: bpy.types.Object) -> list[bpy.types.Modifier]:
+    """The user's modifiers that do something."""
+    return [m for m in obj.modifiers if (m.show_viewport or m.show_render) and not is_ours(m)]
+
+
+def _behind(obj: bpy.types.Object) -> list[bpy.types.Modifier]:
+    """The user's modifiers that belong behind ours: from the first subdivision on after which nothing makes faces."""
+    theirs = [m for m in obj.modifiers if not is_ours(m)]
+    first = len(theirs)
+    for k in range(len(theirs) - 1, -1, -1):
+        if theirs[k].type not in KEEPS_UVS and (theirs[k].show_viewport or theirs[k].show_render):
+            break
+        if theirs[k].type in SUBDIVIDES:
+            first = k
+    return theirs[first:]
+
+
+def _place(obj: bpy.types.Object, modifier: bpy.types.Modifier) -> None:
+    """Move our modifier where it belongs; Blender keeps it last where nothing comes after it."""
+    behind = len(_behind(obj))
+    modifier.use_pin_to_last = False
+    obj.modifiers.move(list(obj.modifiers).index(modifier), len(obj.modifiers) - 1 - behind)
+    modifier.use_pin_to_last = not behind
+
+
+def out_of_place(obj: bpy.types.Object) -> bool:
+    """Whether modifiers have been added behind ours that do not belong there."""
+    modifiers = list(obj.modifiers)
+    at = next((k for k, m in enumerate(modifiers) if is_ours(m)), None)
+    return at is not None and [m.name for m in modifiers[at + 1 :]] != [m.name for m in _behind(obj)]

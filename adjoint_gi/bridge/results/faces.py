@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The faces of a Blender mesh as they are unwrapped: triangles in the size that they have in the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ...core.base.errors import SceneError
+from ...core.receivers.charts import Mesh, carry
+
+
+@dataclass(frozen=True, eq=False)
+class MeshFaces:
+    """The triangles of a Blender mesh, in the object's size in the world so that texels are as large on all sides.
+
+    mesh        what is unwrapped: the triangles that have an area and a position
+    point       (nt, 3, 3) float64 positions of the corners of all triangles
+    corners     (nt, 3) int32 corners (loops) of the Blender mesh
+    polygon     (nt,) int32 face of each triangle
+    area, good  (nt,) float64 and bool: twice the area, and whether it is a triangle of `mesh`
+    count       number of corners of the Blender mesh
+    """
+
+    mesh: Mesh
+    point: np.ndarray
+    corners: np.ndarray
+    polygon: np.ndarray
+    area: np.ndarray
+    good: np.ndarray
+    count: int
+
+    def spread(self, uv: np.ndarray) -> np.ndarray:
+        """(count, 2) float32 UV of all corners from `uv` (n, 3, 2) of the triangles of `mesh`.
+
+        Faces without an area or a position get the corner of the image and no texel, as in the extraction.
+        """
+        out = np.zeros((self.count, 2), np.float32)
+        out[self.corners[self.good]] = uv
+        self._carry_on(out)
+        return out
+
+    def _carry_on(self, out: np.ndarray) -> None:
+        """Give corners that only flat triangles have the place to which the largest triangle of their face maps them.
+
+        A modifier may cut the face along another diagonal, and then these corners are those of triangles with an area.
+        """
+        own = np.zeros(len(out), bool)
+        own[self.corners[self.good]] = True
+        which, k = np.nonzero(~self.good[:, None] & ~own[self.corners] & np.isfinite(self.point).all(axis=2))
+        order = np.flatnonzero(self.good)[np.argsort(self.area[self.good], kind="stable")]
+        largest = np.full(int(self.polygon.max(initial=-1)) + 1, -1)
+        largest[self.polygon[order]] = order  # the last of equal indices stays
+        base = largest[self.polygon[which]]
+        which, k, base = which[base >= 0], k[base >= 0], base[base >= 0]
+        uv = out[self.corners[base]].astype(np.float64)
+        out[self.corners[which, k]] = carry(self.point[base], uv, self.point[which, k][:, None])[:, 0]
+
+
+def read_faces(obj: bpy.types.Object, mesh: bpy.types.Mesh | None = None) -> MeshFaces:
+    """The faces of `mesh`, by default the original one, with the size that `obj` has; raises SceneError where none can be unwrapped."""
+    mesh = obj.data if mesh is None else mesh
+    if not mesh.polygons:
+        raise SceneError(obj.name, "has no faces to unwrap", "Give it faces")
+    vertices = np.empty(len(mesh.vertices) * 3, np.float32)
+    mesh.vertices.foreach_get("co", vertices)
+    vertices = vertices.reshape(-1, 3).astype(np.float64) @ np.array(obj.matrix_world.to_3x3(), np.float64).T
+    loops = mesh.loop_triangles
+    count = len(loops)
+    triangles, corners, polygon = np.empty(count * 3, np.int32), np.empty(count * 3, np.int32), np.empty(count, np.int32)
+    loops.foreach_get("vertices", triangles)
+    loops.foreach_get("loops", corners)
+    loops.foreach_get("polygon_index", polygon)
+    triangles, corners = triangles.reshape(-1, 3), corners.reshape(-1, 3)
+    with np.errstate(invalid="ignore", over="ignore"):
+        point = vertices[triangles]
+        good = np.isfinite(point).all(axis=(1, 2)) & (np.abs(np.nan_to_num(point)).max(axis=(1, 2)) <= 1e12)
+        area = np.linalg.norm(np.cross(point[:, 1] - point[:, 0], point[:, 2] - point[:, 0]), axis=1)
+        good &= area > 0
+    if not good.any():
+        raise SceneError(obj.name, "has no face with an area", "Give it faces with an area, and no scale of 0")
+    flat = Mesh(np.where(np.isfinite(vertices), vertices, 0.0), triangles[good].astype(np.int64), polygon[good])
+    return MeshFaces(flat, point, corners, polygon, area, good, len(mesh.loops))

@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lightmap UVs of evaluated meshes: carried by a modifier, seen by viewport, renders and exports, gone without a trace."""
+
+from __future__ import annotations
+
+import json
+import struct
+
+import bpy
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.bridge.baking import textures
+from adjgi.adjoint_gi.bridge.baking.bake import Bake
+from adjgi.adjoint_gi.bridge.results import carried, links
+from adjgi.adjoint_gi.bridge.results.lightmap_uv import make_lightmap_uvs, outdated, own_layer, remove_lightmap_uv
+from adjgi.adjoint_gi.bridge.results.remove import remove_results
+from adjgi.adjoint_gi.core.base.errors import AdjointError
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.receivers.texels import rasterize
+from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.tests import room
+from adjgi.tests.baking import bake, make_lightmap_uv, request
+
+BUILT = {"values": {"samples": 1}, "resolution": 256, "atlas": True}
+
+
+def box(name="Box", *modifiers):
+    """A cube without a UV layer, with modifiers of these types."""
+    mesh = bpy.data.meshes.new(name)
+    v = [(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)]
+    mesh.from_pydata(v, [], [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)])
+    obj = bpy.data.objects.new(name, mesh)
+    bpy.context.scene.collection.objects.link(obj)
+    for kind in modifiers:
+        obj.modifiers.new(kind.title(), kind)
+    bpy.context.view_layer.update()
+    return obj
+
+
+def evaluated(obj):
+    bpy.context.view_layer.update()
+    return obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+
+
+def uvs(mesh, name="Lightmap"):
+    out = np.empty((len(mesh.loops), 2), np.float32)
+    mesh.uv_layers[name].uv.foreach_get("vector", out.reshape(-1))
+    return out
+
+
+def fits(obj):
+    return outdated(obj, bpy.context.evaluated_depsgraph_get())
+
+
+def counts():
+    data = bpy.data
+    return len(data.objects), len(data.meshes), len(data.node_groups), len(data.images), len(data.materials)
+
+
+def raster(meshes, resolution=256):
+    """The lightmap of evaluated meshes, each set apart from the others, so that only what they share counts."""
+    b = SceneBuilder()
+    for k, mesh in enumerate(meshes):
+        place = np.empty((len(mesh.vertices), 3), np.float32)
+        mesh.vertices.foreach_get("co", place.reshape(-1))
+        triangles, corners = (np.empty((len(mesh.loop_triangles), 3), np.int32) for _ in range(2))
+        mesh.loop_triangles.foreach_get("vertices", triangles.reshape(-1))
+        mesh.loop_triangles.foreach_get("loops", corners.reshape(-1))
+        b.mesh(f"{k}", place.astype(float) + [100.0 * k, 0, 0], triangles, diffuse("White", 0.5), uv=uvs(mesh)[corners])
+    return rasterize(World(b.build()), list(range(len(meshes))), "UVMap", resolution)
+
+
+def test_a_room_as_people_model_it():
+    """No texel is claimed twice, no face is without its texels, no mesh of the user is changed, and Clear Results leaves nothing."""
+    scene = room.build()
+    before, layers = counts(), {o.name: [m.name for m in o.modifiers] for o in scene.objects}
+    made = bake(request(**BUILT))
+    lightmap = made.writer.sheets[0].lightmap
+    assert (lightmap.overlapping, lightmap.no_area, lightmap.outside, lightmap.tiny_charts) == (0, 0, 0, 0)
+    owner = made.driver.world.scene.object[np.unique(lightmap.receivers.triangle)]
+    meshes = [o for o in scene.objects if o.type == "MESH"]
+    assert {made.driver.world.scene.objects[i].source for i in np.unique(owner)} == {o.name for o in meshes}
+    for obj in meshes:
+        assert fits(obj) == "" and own_layer(obj) == "Lightmap"
+        if obj.name in room.MODELLED and obj.name != "Plant":
+            assert not obj.data.uv_layers and carried.carrier(obj) is not None
+    assert not any("same texels" in n.reason for n in made.notices)
+    assert remove_results(scene)["UV layer"] == len(meshes)
+    assert counts() == before and {o.name: [m.name for m in o.modifiers] for o in scene.objects} == layers
+
+
+class Seen(bpy.types.RenderEngine):
+    """Notes the texels of what a render is given."""
+
+    bl_idname, bl_label = "ADJOINT_GI_SEEN", "Seen"
+    lightmap = None
+    faces = {}
+
+    def render(self, depsgraph):
+        meshes = {i.object.name: i.object.data for i in depsgraph.object_instances if i.object.name in room.MODELLED}
+        Seen.faces = {name: len(mesh.polygons) for name, mesh in meshes.items()}
+        Seen.lightmap = raster(list(meshes.values()))
+
+
+def test_a_render_has_the_layers_also_where_it_subdivides_more():
+    scene = room.build()
+    bake(request(**BUILT))
+    bpy.utils.register_class(Seen)
+    try:
+        scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = Seen.bl_idname, 8, 8
+        bpy.ops.render.render()
+    finally:
+        bpy.utils.unregister_class(Seen)
+    assert set(Seen.faces) == set(room.MODELLED) and Seen.faces["Plant"] == 4 * len(evaluated(bpy.data.objects["Plant"]).polygons)
+    assert Seen.lightmap.overlapping == 0 and Seen.lightmap.no_area == 0 and Seen.lightmap.outside == 0
+
+
+def test_every_corner_has_what_it_was_given_also_in_a_file(tmp_path):
+    obj = box("Box", "SOLIDIFY", "ARRAY")
+    make_lightmap_uv(obj, resolution=128, padding=2)
+    given, _ = carried.carried(obj)
+    assert np.array_equal(uvs(evaluated(obj)), given)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
+    obj = bpy.data.objects["Box"]
+    assert np.array_equal(uvs(evaluated(obj)), given) and fits(obj) == ""
+    assert remove_lightmap_uv(obj) and counts()[:3] == (1, 1, 0)
+
+
+def test_a_gltf_export_has_the_layer(tmp_path):
+    obj = box("Box", "SOLIDIFY", "ARRAY")
+    make_lightmap_uv(obj, resolution=128, padding=2)
+    path = tmp_path / "box.glb"
+    bpy.ops.export_scene.gltf(filepath=str(path), export_apply=True)
+    data = path.read_bytes()
+    size = struct.unpack("<I", data[12:16])[0]
+    head = json.loads(data[20 : 20 + size])
+    assert [n["name"] for n in head["nodes"]] == ["Box"]
+    accessor = head["accessors"][head["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]]
+    start = 20 + size + 8 + head["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
+    got = np.frombuffer(data, np.float32, 2 * accessor["count"], start).reshape(-1, 2)
+    given = carried.carried(obj)[0]
+    known = {(round(float(u), 5), round(1 - float(v), 5)) for u, v in given}
+    assert {(round(float(u), 5), round(float(v), 5)) for u, v in got} == known and len(known) > 40
+
+
+def test_changed_faces_are_shown_nowhere_said_and_made_anew():
+    obj = box("Box", "ARRAY")
+    bake(request(values={"samples": 1}, resolution=32))
+    before = carried.holder(obj)
+    obj.modifiers["Array"].count = 3
+    assert (uvs(evaluated(obj)) == -1).all() and "other faces" in fits(obj)
+    (told,) = [n for n in Bake(bpy.context, request(values={"samples": 1}, resolution=32)).notices if "other faces" in n.reason]
+    assert told.object == "Box" and "made anew" in told.reason
+    assert fits(obj) == "" and uvs(evaluated(obj)).min() >= 0 and carried.holder(obj) == before and counts()[:3] == (2, 2, 1)
+
+
+def test_faces_of_other_vertices_are_noticed_too():
+    """As many corners as before, in another order: by counts alone nothing has changed."""
+    obj = box("Box", "SOLIDIFY")
+    make_lightmap_uv(obj)
+    mesh = obj.data
+    order = [list(p.vertices) for p in mesh.polygons][::-1]
+    points = [tuple(v.co) for v in mesh.vertices]
+    mesh.clear_geometry()
+    mesh.from_pydata(points, [], order)
+    assert (uvs(evaluated(obj)) == -1).all() and "other faces" in fits(obj)
+
+
+def test_an_extruded_wall_gets_texels_by_the_next_bake():
+    obj = box()
+    bake(request(values={"samples": 1}, resolution=64))
+    mesh = obj.data
+    points, faces = [tuple(v.co) for v in mesh.vertices], [tuple(p.vertices) for p in mesh.polygons]
+    shape = [*points, *((x + 2, y, z) for x, y, z in points)]
+    layer = uvs(mesh)
+    mesh.clear_geometry()
+    mesh.from_pydata(shape, [], [*faces, *(tuple(k + 8 for k in f) for f in faces)])
+    mesh.uv_layers.new(name="Lightmap").uv.foreach_set("vector", np.concatenate([layer, layer]).ravel())
+    assert "other faces" in fits(obj)
+    made = bake(request(values={"samples": 1}, resolution=64))
+    assert made.writer.sheets[0].lightmap.overlapping == 0 and fits(obj) == ""
+
+
+@pytest.mark.parametrize("kind", ["plain", "carried"])
+def test_a_duplicate_gets_a_place_of_its_own(kind):
+    first = box("Box", *(["ARRAY"] if kind == "carried" else []))
+    bake(request(**BUILT))
+    twin = first.copy()
+    twin.name, twin.location.x = "Twin", 5
+    bpy.context.scene.collection.objects.link(twin)
+    bpy.context.view_layer.update()
+    assert fits(first) and fits(twin)
+    made = bake(request(**BUILT))
+    assert made.writer.sheets[0].lightmap.overlapping == 0 and fits(first) == fits(twin) == ""
+    assert carried.holder(first) != carried.holder(twin) and not first.data.uv_layers
+    remove_results(bpy.context.scene)
+    assert counts()[:3] == (2, 1, 0)
+
+
+def test_subdivision_stays_behind_and_what_makes_faces_does_not():
+    obj = box("Box", "BEVEL", "SUBSURF")
+    make_lightmap_uv(obj)
+    assert [m.type for m in obj.modifiers] == ["BEVEL", "NODES", "SUBSURF"] and fits(obj) == ""
+    obj.modifiers["Subsurf"].levels = 3
+    assert raster([evaluated(obj)]).overlapping == 0 and fits(obj) == "", "other levels need no other layer"
+    obj.modifiers.new("Solidify", "SOLIDIFY")
+    bpy.context.view_layer.update()
+    assert "other faces" in fits(obj)
+    make_lightmap_uv(obj)
+    assert [m.type for m in obj.modifiers] == ["BEVEL", "SUBSURF", "SOLIDIFY", "NODES"] and fits(obj) == ""
+    lightmap = raster([evaluated(obj)], 512)
+    assert lightmap.overlapping == 0 and lightmap.no_area == 0
+    obj.modifiers.new("Late", "ARRAY")
+    assert [m.type for m in obj.modifiers][-1] == "NODES", "Blender keeps it last"
+
+
+def test_a_mesh_made_by_geometry_nodes_can_have_a_layer():
+    obj = box()
+    tree = bpy.data.node_groups.new("Cone", "GeometryNodeTree")
+    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    cone, end = tree.nodes.new("GeometryNodeMeshCone"), tree.nodes.new("NodeGroupOutput")
+    tree.links.new(cone.outputs["Mesh"], end.inputs[0])
+    obj.modifiers.new("Nodes", "NODES").node_group = tree
+    make_lightmap_uv(obj, resolution=128, padding=2)
+    lightmap = raster([evaluated(obj)], 128)
+    assert lightmap.overlapping == 0 and lightmap.no_area == 0 and lightmap.covered.mean() > 0.3
+
+
+def test_names_of_the_user_are_left_alone():
+    obj = box("Box", "MIRROR")
+    obj.data.uv_layers.new(name="Lightmap")
+    obj.data.uv_layers["Lightmap"].uv.foreach_set("vector", np.full(48, 0.25, np.float32))
+    assert make_lightmap_uv(obj) == "Lightmap.001"
+    assert (uvs(evaluated(obj)) == 0.25).all() and uvs(evaluated(obj), "Lightmap.001").min() >= 0
+
+
+def test_what_a_refused_bake_made_is_taken_back(monkeypatch):
+    plain, array, twin = box("Plain"), box("Array", "ARRAY"), box("Twin", "SOLIDIFY")
+    make_lightmap_uv(twin)
+    kept, before = carried.carried(twin)[0], counts()
+
+    def refuse(*args, **more):
+        raise AdjointError("Texels", "do not fit", "")
+
+    monkeypatch.setattr(textures, "rasterize", refuse)
+    with pytest.raises(AdjointError, match="do not fit"):
+        Bake(bpy.context, request(**BUILT))
+    assert not plain.data.uv_layers and not plain.data.keys() and carried.carrier(array) is None
+    assert counts() == before and np.array_equal(carried.carried(twin)[0], kept)
+
+
+def test_a_deleted_object_leaves_its_layer_to_clear_results():
+    first, second = box("First", "ARRAY"), box("Second", "ARRAY")
+    make_lightmap_uvs([first, second], 128, (2,))
+    bpy.data.objects.remove(first)
+    remove_results(bpy.context.scene)
+    assert counts() == (1, 2, 0, 0, 0), "the mesh of the deleted object is the user's"
+    assert not any(links.is_result(o) for o in bpy.data.objects)
