@@ -91,7 +91,7 @@ def check_target(obj: bpy.types.Object) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class UvPlan:
     """What is unwrapped for some objects, read from Blender: `faces` of each, and whether its layer is to be `carried`."""
 
     objects: tuple[bpy.types.Object, ...]
@@ -101,7 +101,7 @@ class Plan:
     names: tuple[frozenset[str], ...]  # attributes that the meshes have
 
 
-def read_plan(objects: Sequence[bpy.types.Object], view_layer: bpy.types.ViewLayer | None = None) -> Plan:
+def read_plan(objects: Sequence[bpy.types.Object], view_layer: bpy.types.ViewLayer | None = None) -> UvPlan:
     """The meshes of `objects` as they are to be unwrapped: evaluated where the layer must be carried. Nothing is changed.
 
     Raises TargetError for an object of another file and for edit mode, SceneError for a mesh that has no usable face.
@@ -117,10 +117,10 @@ def read_plan(objects: Sequence[bpy.types.Object], view_layer: bpy.types.ViewLay
             mesh = obj.evaluated_get(depsgraph).data if c else obj.data
             found.append((read_faces(obj, mesh), _corner_vertices(mesh), frozenset(a.name for a in mesh.attributes)))
     faces, vertices, names = zip(*found, strict=True) if found else ((), (), ())
-    return Plan(tuple(objects), faces, tuple(carry), vertices, names)
+    return UvPlan(tuple(objects), faces, tuple(carry), vertices, names)
 
 
-def write_plan(plan: Plan, unwrapped: Unwrapped, name: str = NAME) -> Callable[[], None]:
+def write_plan(plan: UvPlan, unwrapped: Unwrapped, name: str = NAME) -> Callable[[], None]:
     """Give the objects of `plan` the layers `unwrapped`; returns what takes that back. All get their layer, or none.
 
     Raises TargetError where a layer cannot be added.
