@@ -63,7 +63,9 @@ def holder(obj: bpy.types.Object) -> bpy.types.Object | None:
 def belongs_to(obj: bpy.types.Object) -> bool:
     """Whether what `obj` carries is its alone: a copy of an object carries the layer of its original."""
     own = holder(obj)
-    return own is not None and not any(holder(other) == own for other in bpy.data.objects if other != obj and other.type == "MESH")
+    if own is None or own.users == 1:
+        return own is not None
+    return not any(holder(other) == own for other in bpy.data.objects if other != obj and other.type == "MESH")
 
 
 @contextlib.contextmanager

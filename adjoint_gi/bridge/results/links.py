@@ -38,8 +38,7 @@ def check_mesh(obj: bpy.types.Object) -> None:
 
 def check_edit_mode(obj: bpy.types.Object) -> None:
     """Raise TargetError where the mesh of `obj` is in edit mode, on whatever object."""
-    mesh = obj.data
-    if any(other.data == mesh and other.mode == "EDIT" for other in bpy.data.objects if other.type == "MESH"):
+    if obj.data.is_editmode:
         raise TargetError(obj.name, "its mesh is in edit mode", "Leave edit mode first")
 
 
@@ -71,6 +70,8 @@ def is_result(obj: bpy.types.Object) -> bool:
 
 def sharing(obj: bpy.types.Object) -> list[bpy.types.Object]:
     """The other objects that use the same mesh."""
+    if obj.data.users <= 1:
+        return []
     return [other for other in bpy.data.objects if other.data == obj.data and other != obj]
 
 
