@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.bridge.extract import images as extract_images
 from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests.cycles_patch import add_light, diffuse_material, empty_material, render_patch, shader_material, white_plane
 
 
@@ -205,6 +206,25 @@ def test_bright_images_are_clamped_as_albedo():
     source = lobes["diffuse"].color.terms[0].sources[0]
     np.testing.assert_allclose(arrays.textures[source.texture].pixels[0, :, 0], [1.0, 0.25])
     assert told(arrays, "albedo", "clamped")
+
+
+@pytest.mark.parametrize("kind, value, top", [("Emission", 1e38, 1e9), ("Emission", 2.0, None), ("BsdfDiffuse", 3.0, 1.0)])
+def test_bright_colour_attributes_are_clamped_and_named(kind, value, top):
+    material = shader_material("m", f"ShaderNode{kind}")
+    node = material.node_tree.nodes.new("ShaderNodeAttribute")
+    node.attribute_name = "paint"
+    shader = next(n for n in material.node_tree.nodes if n.bl_idname == f"ShaderNode{kind}")
+    material.node_tree.links.new(node.outputs[0], shader.inputs["Color"])
+    plane = white_plane()
+    plane.data.materials.clear()
+    plane.data.materials.append(material)
+    paint = plane.data.color_attributes.new(name="paint", type="FLOAT_COLOR", domain="CORNER")
+    paint.data.foreach_set("color", [value] * (4 * len(paint.data)))
+    arrays = extract(bpy.context.evaluated_depsgraph_get())
+    shading, at = World(arrays).shading, (np.zeros(1, np.int32), *np.full((2, 1), 0.3, np.float32))
+    read = (shading.emission if kind == "Emission" else shading.albedo)(*at)
+    np.testing.assert_allclose(read, top or value, rtol=1e-6)
+    assert bool(told(arrays, plane.name, "paint", "clamped")) == bool(top)
 
 
 def test_slots_are_chosen_as_in_cycles():

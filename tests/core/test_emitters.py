@@ -10,6 +10,7 @@ from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights import direct
 from adjgi.adjoint_gi.core.lights.direct import direct_irradiance
 from adjgi.adjoint_gi.core.lights.emitters import MOST_LAMPS, Emitters
+from adjgi.adjoint_gi.core.lights.emitters import _Table as Table
 from adjgi.adjoint_gi.core.sampling.maps import columns
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, RayKind, Source, Term, Texture
 from adjgi.adjoint_gi.core.scene.faces import Faces
@@ -61,6 +62,19 @@ def corner(a, b, c):
     x, y = a / c, b / c
     s, t = math.sqrt(1 + x * x), math.sqrt(1 + y * y)
     return (x / s * math.atan(y / s) + y / t * math.atan(x / t)) / (2 * PI)
+
+
+def test_picks_among_a_million_emitters_are_as_the_power_says():
+    """The 2^24 steps of a float32 number are some ten for each emitter, which gave weak ones a third too many."""
+    power = np.random.default_rng(1).random(1_600_000) ** 3
+    picked = []
+    table = Table([(power, lambda k, *_: picked.append(k))])
+    n, rng = 1 << 20, np.random.default_rng(2)
+    even = ((np.arange(n) + rng.random(n)) / n * 2**24).astype(np.uint32) * np.float32(2**-24)
+    table.draw(np.zeros((3, n), np.float32), np.stack([even, *rng.random((2, n), np.float32)]))
+    weak = power < np.median(power)
+    expected = power[weak].sum() / power.sum()
+    assert abs(weak[picked[0]].mean() - expected) < Z * math.sqrt(expected * (1 - expected) / n)
 
 
 # ---- closed forms

@@ -14,7 +14,7 @@ from .camera import read_camera
 from .instances import InstanceWalk, place
 from .lights import read_lights
 from .materials import Materials
-from .unsupported import name_missing_layers
+from .unsupported import name_bright_attributes, name_missing_layers
 from .world import read_world
 
 
@@ -42,7 +42,8 @@ def _extract(depsgraph: bpy.types.Depsgraph, scene: bpy.types.Scene, resolution:
     # Step 2: bring every instance to world space.
     placed = place(walk.groups, materials.colors.uses_default_attribute, notices)
 
-    name_missing_layers(placed.objects, placed.object, placed.material, materials.result(), notices)
+    for name in (name_missing_layers, name_bright_attributes):
+        name(placed.objects, placed.object, placed.material, materials.result(), notices)
 
     # Step 3: what is not geometry.
     lights = read_lights(walk.lights, notices)

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.arrays import Color, Lobe, Material, Term, Texture
+from ...core.scene.shading import LARGEST_EMISSION
 from ..host.notices import Notices
 from ..host.versions import uses_nodes
 from .color_math import NotPolynomial, mapped
@@ -17,7 +18,6 @@ from .images import Images
 from .nodes import Place, is_linked
 from .shaders import Shaders, merged, surface
 
-LARGEST_EMISSION = 1e9  # W m-2 sr-1; its square still fits in float32
 BESIDE = ("emission", "specular", "dielectric")  # lobes that take nothing from what the others reflect and pass
 DEFAULT = "Default"  # name of the material of faces without one
 

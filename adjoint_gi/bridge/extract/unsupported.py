@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.arrays import Material, ObjectArrays
+from ...core.scene.shading import LARGEST_EMISSION
 from ..host.notices import Notices
 from .members import node_trees
 
@@ -53,6 +54,27 @@ def name_missing_layers(
             elif kind == "attribute" and name not in owner.colors:
                 layer = f'attribute "{name}" of colours, numbers or vectors on points, corners or faces' if name else "colour attribute"
                 notices.add(owner.source, f'has no {layer} for material "{materials[m].name}"; it counts as black', "Add the attribute")
+
+
+def name_bright_attributes(
+    objects: tuple[ObjectArrays, ...], object: np.ndarray, material: np.ndarray, materials: tuple[Material, ...], notices: Notices
+) -> None:
+    """A notice for every object whose colour attribute makes a material reflect or emit more than is computed with.
+
+    Only products with one attribute are looked at, whose largest value is at a corner; the values themselves are clamped where they are
+    read, in `Shading`.
+    """
+    for index, made in enumerate(materials):
+        for lobe in made.lobes:
+            term = lobe.color.terms[0] if len(lobe.color.terms) == 1 else None
+            if term is None or [s.kind for s in term.sources] != ["attribute"]:
+                continue
+            word, top = ("emission", LARGEST_EMISSION) if lobe.kind == "emission" else ("albedo", 1.0)
+            for o in np.unique(object[material == index]).tolist():
+                values = objects[o].colors.get(term.sources[0].name)
+                if values is not None and values.size and (values[..., :3].max(axis=(0, 1)) * np.float64(term.constant)).max() > top + 1e-4:
+                    layer = f'colour attribute "{term.sources[0].name}" that gives material "{made.name}" an {word} above {top:g}'
+                    notices.add(objects[o].source, f"has a {layer}; it is clamped", f"Choose colours that give an {word} of 0 to {top:g}")
 
 
 def _layers(material: Material) -> set[tuple[str, str]]:

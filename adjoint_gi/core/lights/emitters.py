@@ -14,6 +14,7 @@ import numpy as np
 
 from ..sampling import maps as sampling
 from ..sampling.maps import PowerTable, columns
+from ..sampling.sobol import hashed
 from .background import Background
 from .lamps import Lamps
 from .mesh import MeshLights
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 # Rays meet lamps by testing every ray against every lamp. With more lamps than this, or with lamps too small to be met often,
 # bounces leave the lamps to light sampling alone, which is as unbiased. Camera and mirror rays are always tested against all.
 MOST_LAMPS = 16
+
+COARSE = 256  # with more emitters than this the 2^24 steps of a float32 number would show in how often each is picked
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +67,7 @@ class _Table:
 
     def draw(self, p: np.ndarray, u: np.ndarray) -> LightSample:
         """Light points for ray origins `p` (3, n) from random numbers `u` (3, n)."""
-        index = self._index(u[0])
+        index = self._index(u[0] if self.count <= COARSE else refined(u))
         if len(self._parts) == 1:
             return self._parts[0][2](index, self.pick, p, u[1], u[2])
         out = LightSample(*(np.empty(shape, dtype) for shape, dtype in _layout(len(index))))
@@ -190,6 +193,13 @@ class Emitters:
         """(n, 3) float32 radiance of the lamps that rays pass through before `distance`; inf where the ray escapes. Costs rays x lamps."""
         out = self.lamps_met(columns(origin), columns(direction), distance)
         return np.zeros((len(origin), 3), np.float32) if out is None else out.T
+
+
+def refined(u: np.ndarray) -> np.ndarray:
+    """(n,) float64: the first of the numbers `u` (3, n) float32 in steps of 2^-56 instead of 2^-24, the finer bits a hash of the others."""
+    bits = np.ascontiguousarray(u[1:], np.float32).view(np.uint32)
+    fine = hashed(bits[0] ^ hashed(bits[1] + np.uint32(0x9E3779B9)))
+    return u[0] + (fine + 0.5) * 2.0**-56
 
 
 def _layout(n: int) -> tuple:

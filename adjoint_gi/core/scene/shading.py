@@ -8,6 +8,8 @@ from ..base.errors import Notice
 from .arrays import Color, Material, Scalar, SceneArrays, Source, Texture, constant_of
 from .substitutes import as_diffuse
 
+LARGEST_EMISSION = 1e9  # W m-2 sr-1; its square still fits in float32
+
 
 class Shading:
     """Albedo and emission of every triangle, constant or textured."""
@@ -33,8 +35,8 @@ class Shading:
         return np.clip(self._albedo.at(triangle, u, v), np.float32(0), np.float32(1))
 
     def emission(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """(n, 3) float32 emitted radiance, W m-2 sr-1."""
-        return np.maximum(self._emission.at(triangle, u, v), np.float32(0))
+        """(n, 3) float32 emitted radiance clamped to 0..`LARGEST_EMISSION`, W m-2 sr-1."""
+        return np.clip(self._emission.at(triangle, u, v), np.float32(0), np.float32(LARGEST_EMISSION))
 
     def emissive(self) -> np.ndarray:
         """(nt,) bool: triangles that may emit."""
