@@ -49,7 +49,7 @@ class ADJOINTGI_OT_resume(Guarded, bpy.types.Operator):
     def refusal(cls, context: bpy.types.Context) -> str:
         """Nothing to continue."""
         job = jobs.BAKES.job
-        return "" if job is not None and job.state == "stopped" else "No bake was stopped"
+        return "" if job is not None and job.resumable else "No bake was stopped"
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start the thread again."""

@@ -177,7 +177,7 @@ def bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     start = row.row(align=True)
     start.enabled = not any(n.severity == "error" for n in notices)
     start.operator("adjoint_gi.bake", icon="RENDER_STILL" if context.scene.adjoint_gi.target == "render" else "NONE")
-    if job is not None and job.state == "stopped" and not job.notices and not elsewhere:
+    if job is not None and job.resumable and not elsewhere:
         row.operator("adjoint_gi.resume")
     if job is None or job.state == "finished" and not job.notices:
         return

@@ -226,6 +226,45 @@ def test_a_target_that_refuses_is_named(scene, tmp_path, monkeypatch):
     assert result().applied
 
 
+def full_disk(solution):
+    raise WriteError("/tmp", "could not be written: the disk is full", "Free some space")
+
+
+def test_a_result_that_no_disk_has_room_for_stays_in_memory(scene, monkeypatch):
+    monkeypatch.setattr(jobs.kept, "save", full_disk)
+    job = start(steps=2)
+    FakeBake.refuse = OSError(28, "No space left on device")
+    ticks(lambda: not job.active)
+    words = " ".join(map(str, job.notices))
+    assert job.state == "finished" and "disk is full" in words and "kept in memory" in words and "Write Result" in words
+    assert job.solution is not None and not result().applied and result().files == ""
+    FakeBake.refuse = None
+    assert bpy.ops.adjoint_gi.write() == {"FINISHED"}
+    assert result().applied and job.solution is None and job.notices == []
+
+
+def test_a_partial_result_that_cannot_be_shown_does_not_end_the_bake(scene):
+    job = start(steps=60, pause=0.01)
+    FakeBake.refuse = TargetError("Square", "shares its mesh", "Make it a single user")
+    ticks(lambda: job._written > 0)
+    assert job.active and job.driver.state == "running"
+    FakeBake.refuse = None
+    ticks(lambda: not job.active)
+    assert (job.state, job.notices, job.solution) == ("finished", [], None)
+
+
+def test_a_bake_that_stopped_for_a_failure_of_its_surroundings_can_be_continued(scene, monkeypatch):
+    monkeypatch.setattr(jobs.preferences, "refresh_seconds", lambda: 0.0)
+    job = start(steps=200, pause=0.005)
+    FakeBake.refuse = ZeroDivisionError("by zero")
+    ticks(lambda: not job.active)
+    assert job.state == "failed" and job.resumable and job.driver.state == "stopped"
+    FakeBake.refuse = None
+    assert bpy.ops.adjoint_gi.resume() == {"FINISHED"}
+    ticks(lambda: not job.active)
+    assert (job.state, result().partial, job.solution) == ("finished", False, None)
+
+
 def test_writing_again_makes_no_second_file_and_goes_where_the_panel_says(scene, tmp_path, monkeypatch):
     monkeypatch.setattr(jobs.kept, "folder", lambda: tmp_path)
     job = start(steps=2)

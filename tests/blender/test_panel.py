@@ -142,7 +142,8 @@ def fake_job(monkeypatch, scene, **values):
     """The current job, started in `scene`."""
     driver = types.SimpleNamespace(fraction=0.256, seconds_left=75.2, text="Sample 3", seconds=12.34, rays=4_560_000)
     state = {"state": "running", "active": True, "driver": driver, "notices": [], "solution": None}
-    job = types.SimpleNamespace(**(state | {"scene": scene.session_uid} | values))
+    state |= {"scene": scene.session_uid} | values
+    job = types.SimpleNamespace(**state, resumable=state["state"] == "stopped")
     monkeypatch.setattr(BAKES, "job", job)
     return job
 

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
 
+from ...core.base.errors import Notice, TargetError
 from ...core.base.text import json_text
 from ...core.elements.elements import Elements
 from ...core.elements.mesh import ElementNodes, mesh_solution
@@ -15,7 +17,7 @@ from ...core.method.solution import Solution
 from ...core.receivers.base import Receivers
 from ...core.receivers.vertices import VertexMap, vertex_receivers
 from ..results import links, preview
-from ..results.attribute import write_attribute
+from ..results.attribute import WrittenAttribute, write_attribute, write_to_copy
 from ..results.elements import write_elements
 from .preflight import receiving
 from .writer import Writer, find_objects
@@ -56,10 +58,23 @@ class AttributeWriter(Writer):
                 written = write_elements(*where, self.world.scene, index, mesh, values, valid, **how)
             else:
                 found = self.vertices.spread(index, values), self.vertices.spread(index, valid)[:, 0]
-                written = write_attribute(*where, *found, **how, new_object=self.request.new_object)
+                written = self._write_mesh(where, found, how)
             written.object.data[links.ABOUT] = json_text(self.metadata(solution))
             if written.taken is not None:
                 self.notices.append(written.taken)
             preview.follow(written.object, self.request.quantity, written.attribute)
             datablocks.append(f"attribute {written.attribute} of {written.object.name}")
         return datablocks, []
+
+    def _write_mesh(self, where: tuple, found: tuple[np.ndarray, np.ndarray], how: dict[str, Any]) -> WrittenAttribute:
+        """Onto the object's mesh, or onto an object of its own where the user has meanwhile made a linked duplicate or a modifier that
+        changes the mesh: the result is whole, and its mesh is still there."""
+        try:
+            return write_attribute(*where, *found, **how, new_object=self.request.new_object)
+        except TargetError as error:
+            if not self.is_last or self.request.new_object:
+                raise
+            written = write_to_copy(*where, *found, name=self.request.attribute, reason=error)
+            text = f'{error.notice.reason}; that is new since the bake was started, so the result is on the object "{written.object.name}"'
+            self.notices.append(Notice(error.notice.object, text, error.notice.remedy))
+            return written

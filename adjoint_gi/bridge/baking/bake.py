@@ -85,6 +85,7 @@ class Bake:
         live = self.driver.state == "running"
         wanted = not live and (self.request.output or self.writer.needs_folder)
         self.written, self.files, self.writer.notices = [], [], []
+        self.writer.is_last = not live
         try:
             folder = files.output_folder(self.request.output) if wanted else None
             datablocks, paths = self.writer.write(solution, folder)

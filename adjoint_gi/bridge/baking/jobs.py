@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time
 from pathlib import Path
@@ -55,6 +56,11 @@ class BakeJob(background.Job):
         super().start()
         self._next_write = time.monotonic() + preferences.refresh_seconds()
 
+    @property
+    def resumable(self) -> bool:
+        """Whether the solve can go on: it was stopped, by the user or because something else than the method failed."""
+        return self.state in ("stopped", "failed") and self.driver.state == "stopped"
+
     def resume(self) -> None:
         """Go on from the partial result; raises `AdjointError` when that is not possible."""
         for problem in ordered(self.targets.problems()):
@@ -92,15 +98,12 @@ class BakeJob(background.Job):
             try:
                 self.bake.write(solution)
                 files = self.bake.files
-            except AdjointError as error:
+            except (AdjointError, OSError) as error:
                 # Images are in the .blend file even where their files could not be written.
-                self.notices, applied = [error.notice], bool(self.bake.written)
+                self.notices, applied = [background.notice_of(error)], bool(self.bake.written)
         complete, problems = not self.notices, list(self.notices)
         if not applied:
-            if not Path(self._kept).is_file():
-                self._kept = kept.save(solution)
-            files = [self._kept]
-            self.notices.append(Notice("", f"The result is kept in {self._kept} and was not written to the objects", "", "warning"))
+            files = self._keep(solution)
         elif not complete:
             remedy = "Choose a folder in Output, or none, and press Write Result"
             self.notices.append(Notice("", "The images are in the .blend file; their files are missing", remedy, "warning"))
@@ -115,6 +118,18 @@ class BakeJob(background.Job):
             self.solution = None
         if applied:
             background.push_undo("Adjoint GI Bake" if self.state == "finished" else "Adjoint GI Partial Bake")
+
+    def _keep(self, solution: Solution) -> list[str]:
+        """Keep the result as a file, once, and say so; returns its path. Where there is no room for it, it stays in memory."""
+        try:
+            if not Path(self._kept).is_file():
+                self._kept = kept.save(solution)
+        except AdjointError as error:
+            remedy = "Make room, then press Write Result before you close Blender or bake again"
+            self.notices += [error.notice, Notice("", "The result is kept in memory and was not written to the objects", remedy, "warning")]
+            return []
+        self.notices.append(Notice("", f"The result is kept in {self._kept} and was not written to the objects", "", "warning"))
+        return [self._kept]
 
     def fail(self, error: BaseException | None) -> None:
         """The solver or a write raised: also keep the last partial result if there is one."""
@@ -133,7 +148,8 @@ class BakeJob(background.Job):
         self._written = driver.version
         solution = driver.solution()
         if solution is not None and self.find_scene() is not None and not self.targets.problems(thorough=False):
-            with background.undo_step_of_additions("Adjoint GI Bake Under Way"):
+            # What cannot be written now may be at the end, or the result is kept then: the solve goes on.
+            with background.undo_step_of_additions("Adjoint GI Bake Under Way"), contextlib.suppress(AdjointError, OSError):
                 self.bake.write(solution)
         spent = time.monotonic() - now
         self._next_write = time.monotonic() + max(preferences.refresh_seconds(), spent / SHARE)
@@ -144,7 +160,7 @@ BAKES = background.Runner("bake", BakeJob)
 
 def resume() -> None:
     """Continue the stopped bake; raises `AdjointError` when there is none or its objects have changed."""
-    if BAKES.job is None or BAKES.job.state != "stopped":
+    if BAKES.job is None or not BAKES.job.resumable:
         raise AdjointError("Continue", "there is no stopped bake", "Press Bake to start one")
     BAKES.job.resume()
     background.ensure_timer()

@@ -33,6 +33,7 @@ class Writer(abc.ABC):
     notices     what was found while placing or writing
     """
 
+    is_last = True  # whether what is written next is the end of the bake, and not shown for the time being
     needs_folder = False  # whether the result is nothing but files
 
     def __init__(self, context: bpy.types.Context, request: BakeRequest, world: World) -> None:

@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import shutil
-import tempfile
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
@@ -15,6 +17,7 @@ from ...core.base.atomic import check_target, replace_file
 from ...core.base.errors import AdjointError, MemoryRefused, Notice, SceneError, TargetError, WriteError
 from ...core.base.resources import peak_memory, size_text
 from ...core.base.text import json_text
+from ...core.method.driver import answering
 from ...core.method.solution import Solution
 from ..baking.bake import Bake, preflight
 from ..baking.report import of_bake
@@ -45,10 +48,11 @@ def bake(options: argparse.Namespace) -> int:
             raise failure
         raise KeyboardInterrupt
     known = len(made.notices)
-    written = write_or_keep(made, solution, options.save_blend)
-    say_notices(made.notices[known:])
-    if options.report:
-        say(f"wrote {write_report(options.report, of_bake(made))}")
+    with uninterrupted():
+        written = write_or_keep(made, solution, options.save_blend)
+        say_notices(made.notices[known:])
+        if options.report:
+            say(f"wrote {write_report(options.report, of_bake(made))}")
     if not written:
         return FAILED
     say(summary(made))
@@ -85,6 +89,21 @@ def solve(made: Bake) -> BaseException | None:
     finally:
         progress.end()
     return None
+
+
+@contextlib.contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Let what is being written be written to its end: the first interruption is only said, a second one interrupts."""
+    came = threading.Event()
+
+    def interrupt(*_: object) -> None:
+        if came.is_set():
+            raise KeyboardInterrupt
+        came.set()
+        say("interrupted while the result is written, which goes on", error=True)
+
+    with answering(interrupt):
+        yield
 
 
 def write_or_keep(made: Bake, solution: Solution, blend: str | None) -> bool:
@@ -183,8 +202,8 @@ def save_blend(path: Path) -> str:
 
 def _inside(path: Path) -> dict[str, set[str]]:
     """Names of the images and meshes in a .blend file. A copy is looked into, because Blender does not look into the file that is open."""
-    with tempfile.TemporaryDirectory(prefix="adjoint_gi_") as folder:
-        copy = shutil.copyfile(path, Path(folder) / "copy.blend")
+    with files.temporary_folder() as folder:
+        copy = shutil.copyfile(path, folder / "copy.blend")
         with bpy.data.libraries.load(str(copy)) as (inside, _):
             return {"images": set(inside.images), "meshes": set(inside.meshes)}
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 import bpy
 
@@ -41,24 +42,33 @@ def compare(options: argparse.Namespace) -> int:
         if made.driver.state != "finished":
             raise KeyboardInterrupt
         raise TargetError("Comparison", "no method took part", "Choose others, or see the reasons above")
-    problem = None
-    try:
-        paths = write_files(made, result, folder)
-    except AdjointError as error:
-        problem = error.notice
-        say_notices([problem])
-        paths = keep_files(made, result)
-        say_notices([Notice("Result", f"is kept in {paths[0].parent}", "", "warning")])
-    for path in paths:
-        say(f"wrote {path}")
+    written = _write_or_keep(made, result, folder)
     for line in table(result):
         say(line)
-    if problem is not None:
+    if not written:
         return FAILED
     if result.partial:
         return INTERRUPTED
     # A method that could not take part is a result; one that crashed is not.
     return FAILED if any(n.severity == "error" for n in result.refused) else DONE
+
+
+def _write_or_keep(made: Compare, result: Result, folder: Path) -> bool:
+    """Write the files and say so; where they cannot be, into a folder of our own. Returns whether they are where they were wanted."""
+    paths, problem = [], None
+    try:
+        paths = write_files(made, result, folder)
+    except AdjointError as error:
+        problem = error
+        say_notices([error.notice])
+        try:
+            paths = keep_files(made, result)
+            say_notices([Notice("Result", f"is kept in {paths[0].parent}", "", "warning")])
+        except AdjointError as second:  # its table is still printed
+            say_notices([second.notice])
+    for path in paths:
+        say(f"wrote {path}")
+    return problem is None
 
 
 def table(result: Result) -> list[str]:

@@ -12,11 +12,13 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
 import bpy
 
 from .... import solvers
 from ...core.base.errors import AdjointError, Notice, WriteError
+from ...core.method.driver import INTERRUPTS, answering
 from . import bake as cli_bake
 from . import compare as cli_compare
 from . import demo as cli_demo
@@ -39,7 +41,7 @@ _handle = None
 def main(arguments: Sequence[str], in_blender: bool) -> int:
     """Carry out one command; returns the exit code. `in_blender`: a file is open already, and none has to be named."""
     solvers.load()
-    with guarded() as (out, _):
+    with guarded() as (out, _), answering(_interrupt, INTERRUPTS[1:]):
         code = _carry_out(arguments, in_blender)
         out.flush()
         if out.lost:
@@ -48,6 +50,11 @@ def main(arguments: Sequence[str], in_blender: bool) -> int:
             if code == DONE and arguments[0] in ("check", "methods"):
                 code = FAILED
     return code
+
+
+def _interrupt(*_: object) -> NoReturn:
+    """A signal that ends programs is an interruption as Ctrl-C is one; while a method solves, the driver listens."""
+    raise KeyboardInterrupt
 
 
 def _carry_out(arguments: Sequence[str], in_blender: bool) -> int:

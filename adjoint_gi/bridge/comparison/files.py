@@ -11,6 +11,7 @@ from typing import Any
 import bpy
 
 from ...core.base.atomic import check_target, replace_file
+from ...core.base.errors import WriteError
 from ...core.base.text import json_text
 from ...core.comparison import page
 from ...core.comparison.run import Result
@@ -31,8 +32,13 @@ def check_files(request: CompareRequest, folder: Path) -> None:
 
 
 def keep_files(made: Compare, result: Result) -> list[Path]:
-    """Write all into a new folder of our own, when it could not be written where it was meant to go."""
-    return write_files(made, result, Path(tempfile.mkdtemp(prefix="compare_", dir=kept.folder())))
+    """Write all into a new folder of our own, when it could not be written where it was meant to go. Raises TargetError or WriteError."""
+    place = kept.folder()
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="compare_", dir=place))
+    except OSError as error:
+        raise WriteError(str(place), f"cannot be written to ({error.strerror or error})", "Make room and compare again") from error
+    return write_files(made, result, folder)
 
 
 def write_files(made: Compare, result: Result, folder: Path) -> list[Path]:

@@ -89,8 +89,7 @@ class Job(abc.ABC):
     def fail(self, error: BaseException | None) -> None:
         """The solver or a write raised: keep the error as a notice."""
         self.state = "failed"
-        notice = error.notice if isinstance(error, AdjointError) else Notice("", f"{type(error).__name__}: {error}", "", "error")
-        self.notices = [notice]
+        self.notices = [notice_of(error)]
 
     def find_scene(self) -> bpy.types.Scene | None:
         """The scene it was started in; None when it is gone."""
@@ -99,6 +98,13 @@ class Job(abc.ABC):
     def has_lost_targets(self) -> bool:
         """Whether what its result is for is gone, as an undo may take it back."""
         return self.find_scene() is None
+
+
+def notice_of(error: BaseException | None) -> Notice:
+    """What is said of an error, whether it was raised on purpose or not."""
+    if isinstance(error, AdjointError):
+        return error.notice
+    return Notice("", f"{type(error).__name__}: {error}", "", "error")
 
 
 class Runner:
@@ -130,6 +136,9 @@ class Runner:
             job.poll()
         except AdjointError as error:
             job.fail(error)
+        except Exception as error:
+            job.fail(error)  # what it has can still be written
+            raise
         return job
 
     def _new(self, context: bpy.types.Context, request: Any) -> Job:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
 
+from ...core.base.atomic import remove_leftovers, temporary_suffix
 from ...core.base.errors import TargetError, WriteError
 
 LONGEST = 80  # characters of a name before the hash; file systems allow 255 bytes
@@ -68,11 +71,21 @@ def output_folder(text: str, create: bool = True) -> Path:
     except OSError as error:
         raise WriteError(str(folder), f"cannot be made ({error.strerror or error})", "Choose another folder") from error
     if create:
+        remove_leftovers(folder)
         try:
             tempfile.TemporaryFile(dir=folder).close()
         except OSError as error:
             raise WriteError(str(folder), f"cannot be written to ({error.strerror or error})", "Choose another folder") from error
     return folder
+
+
+@contextlib.contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """A new folder that is gone afterwards, also when this process is killed: then the next one removes it. Raises OSError."""
+    place = Path(tempfile.gettempdir())
+    remove_leftovers(place)
+    with tempfile.TemporaryDirectory(prefix="adjoint_gi_", suffix="." + temporary_suffix(), dir=place) as folder:
+        yield Path(folder)
 
 
 def output_file(folder: Path, name: str, suffix: str) -> Path:

@@ -136,6 +136,17 @@ def write_attribute(
     return fill_attribute(target, key, domain, name, colors)
 
 
+def write_to_copy(
+    obj: bpy.types.Object, key: str, domain: str, values: np.ndarray, covered: np.ndarray, *, name: str, reason: TargetError
+) -> WrittenAttribute:
+    """The same on the separate object "NAME GI" with a copy of the mesh as it is without modifiers; raises `reason`, why `obj` itself
+    cannot hold the values, where they do not fit that mesh either."""
+    colors = checked_colors(obj, domain, name, values, covered)
+    if obj.type != "MESH" or len(colors) != (len(obj.data.vertices) if domain == "POINT" else len(obj.data.loops)):
+        raise reason
+    return fill_attribute(place_result_object(obj, obj.data.copy()), key, domain, name, colors)
+
+
 def checked_colors(obj: bpy.types.Object, domain: str, name: str, values: np.ndarray, covered: np.ndarray) -> np.ndarray:
     """(n, 4) float32 of `values` (n, 3) with `covered` (n,) as alpha, for the attribute `name`.
 

@@ -5,15 +5,20 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import secrets
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from .errors import TargetError, WriteError
+from .process import is_alive, this_machine
 
 SOFTWARE = "Adjoint GI"  # stands in the header of every file we write, and is how we know our own
+
+LEFTOVER = re.compile(r"\.([0-9a-f]{8})-(\d{1,10})-[0-9a-f]{12}\.tmp$")  # ends of the names of files being written: machine, process
 
 REASONS = {
     errno.ENOSPC: ("the disk is full", "Free some space or choose another folder"),
@@ -60,7 +65,8 @@ def replace_file(
     """
     path, folder = Path(path), Path(folder)
     check_target(path, folder, ours)
-    temporary = path.with_name(f".{path.stem[:40]}.{secrets.token_hex(6)}.tmp")
+    remove_leftovers(path.parent)
+    temporary = path.with_name(f".{path.stem[:40]}.{temporary_suffix()}")
     try:
         # Step 1: claim the temporary name, so that it cannot be a link that someone put there.
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
@@ -83,6 +89,28 @@ def replace_file(
             os.unlink(temporary)
     _flush_folder(path.parent)
     return path
+
+
+def temporary_suffix() -> str:
+    """The end of the name of a file or folder that exists only while this process writes; unlike any other."""
+    return f"{this_machine()}-{os.getpid()}-{secrets.token_hex(6)}.tmp"
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove from `folder` what ends like `temporary_suffix` and was left by a process of this machine that is no more.
+
+    Never raises: what cannot be removed stays.
+    """
+    with contextlib.suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            found = LEFTOVER.search(entry.name)
+            if found is None or found[1] != this_machine() or is_alive(int(found[2])):
+                continue
+            if entry.is_dir(follow_symlinks=False):
+                shutil.rmtree(entry.path, ignore_errors=True)
+            else:
+                with contextlib.suppress(OSError):
+                    os.unlink(entry.path)
 
 
 def _flush_folder(folder: Path) -> None:

@@ -16,7 +16,7 @@ import dataclasses
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from ..scene.world import World
 from .registry import Solver
 from .solution import Solution, Step
 
+INTERRUPTS = ("SIGINT", "SIGTERM", "SIGHUP")  # Ctrl-C, what ends programs, and a terminal that was closed
 REFRESH = 0.5  # seconds between two copies of the partial result
 SHARE = 0.05  # largest share of the time that these copies may take
 
@@ -129,7 +130,7 @@ class Driver:
         """Compute here to the end, calling `on_step(self)` after every step; returns the result.
 
         Ctrl-C stops between two steps and keeps the partial result (state "stopped", None before the first step); a second
-        Ctrl-C interrupts at once. Raises what the solver raised.
+        Ctrl-C interrupts at once. So do the signals by which a system ends programs. Raises what the solver raised.
         """
         if self.state not in ("idle", "stopped"):
             self._require("idle")
@@ -225,19 +226,32 @@ class Driver:
 
 @contextlib.contextmanager
 def _interrupts(stop: threading.Event) -> Iterator[None]:
-    """Let the first Ctrl-C set `stop` and the second one raise; only the main thread can listen, others pass through."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
+    """Let the first Ctrl-C set `stop` and the second one raise."""
 
     def interrupt(*_: object) -> None:
         if stop.is_set():
             raise KeyboardInterrupt
         stop.set()
 
-    before = signal.signal(signal.SIGINT, interrupt)
+    with answering(interrupt):
+        yield
+
+
+@contextlib.contextmanager
+def answering(interrupt: Callable[..., None], signals: Iterable[str] = INTERRUPTS) -> Iterator[None]:
+    """Have `interrupt` called when one of `signals` comes; only the main thread can listen, others pass through.
+
+    A signal that is ignored stays so: that is how `nohup` keeps a program going.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    numbers = [getattr(signal, name) for name in signals if hasattr(signal, name)]
+    before = {n: signal.signal(n, interrupt) for n in numbers if signal.getsignal(n) != signal.SIG_IGN}
     try:
         yield
     finally:
-        # None: the handler was not set by Python (Blender sets its own), and cannot be put back from here.
-        signal.signal(signal.SIGINT, before if before is not None else signal.default_int_handler)
+        for number, handler in before.items():
+            # None: the handler was not set by Python (Blender sets its own), and cannot be put back from here.
+            default = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
+            signal.signal(number, handler if handler is not None else default)
