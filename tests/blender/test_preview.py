@@ -304,3 +304,112 @@ def test_the_picture_has_the_right_radiance(case, tmp_path):
     want = value / np.pi * (1 if case == "radiosity" else base)
     inner = got[1:-1, 1:-1] if case == "atlas" else got
     assert np.allclose(inner, want, rtol=2e-3)
+
+
+def pixel(obj, path, key="irradiance"):
+    """Radiance (3,) in the middle of the picture with the preview of `obj`."""
+    scene = radiance(obj)
+    preview.show([obj], key)
+    return render(scene, path)[4, 4]
+
+
+def shining(m, strength=2.0, color=(1.0, 0.5, 0.25, 1.0)):
+    inputs = m.node_tree.nodes["Principled BSDF"].inputs
+    inputs["Emission Color"].default_value, inputs["Emission Strength"].default_value = color, strength
+    return m
+
+
+def behind(value=10.0):
+    """A plane behind the first that emits `value`."""
+    m = bpy.data.materials.new("Behind")
+    if m.node_tree is None:
+        m.use_nodes = True
+    tree = m.node_tree
+    tree.nodes.clear()
+    emission, output = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeOutputMaterial")
+    emission.inputs["Color"].default_value, emission.inputs["Strength"].default_value = (1, 1, 1, 1), value
+    tree.links.new(emission.outputs[0], output.inputs["Surface"])
+    plane("Behind", materials=[m]).location.z = -1
+
+
+BASE = np.array([0.2, 0.4, 0.6])
+LIT = BASE * 2.0 / np.pi  # of `bake`
+
+
+def by_group(m):
+    """The shader of `m` inside a node group."""
+    tree = m.node_tree
+    inner = bpy.data.node_groups.new("Inner", "ShaderNodeTree")
+    inner.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
+    shader, end = inner.nodes.new("ShaderNodeBsdfDiffuse"), inner.nodes.new("NodeGroupOutput")
+    shader.inputs["Color"].default_value = (*BASE, 1)
+    inner.links.new(shader.outputs[0], end.inputs[0])
+    group = tree.nodes.new("ShaderNodeGroup")
+    group.node_tree = inner
+    tree.links.new(group.outputs[0], tree.get_output_node("ALL").inputs["Surface"])
+
+
+def see_through(m, alpha):
+    m.node_tree.nodes["Principled BSDF"].inputs["Alpha"].default_value = alpha
+
+
+def transparent_mix(m):
+    """Half of a Transparent shader."""
+    tree = m.node_tree
+    mix, clear = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeBsdfTransparent")
+    tree.links.new(tree.nodes["Principled BSDF"].outputs[0], mix.inputs[1])
+    tree.links.new(clear.outputs[0], mix.inputs[2])
+    tree.links.new(mix.outputs[0], tree.get_output_node("ALL").inputs["Surface"])
+
+
+def glassy(m, weight=1.0):
+    inputs = m.node_tree.nodes["Principled BSDF"].inputs
+    inputs["Transmission Weight"].default_value, inputs["Roughness"].default_value, inputs["IOR"].default_value = weight, 0.0, 1.0
+    inputs["Base Color"].default_value = (1, 1, 1, 1)
+
+
+CLEAR = {
+    "emission": (lambda m: shining(m), LIT + 2.0 * np.array([1.0, 0.5, 0.25])),
+    "alpha 0": (lambda m: see_through(m, 0.0), np.full(3, 10.0)),
+    "alpha of an emitter": (lambda m: see_through(shining(m), 0.25), 0.25 * (LIT + 2.0 * np.array([1.0, 0.5, 0.25])) + 7.5),
+    "half transparent": (transparent_mix, 0.5 * LIT + 5.0),
+    "glass": (glassy, np.full(3, 10.0)),
+    "half glass": (lambda m: glassy(m, 0.5), 5.0 + 0.5 * 2.0 / np.pi),
+    "a group": (by_group, LIT),
+}
+
+
+@pytest.mark.parametrize("case", CLEAR)
+def test_what_lets_light_pass_or_emits_stays_as_it_is(case, tmp_path):
+    change, want = CLEAR[case]
+    m = material("Base", (*BASE, 1))
+    change(m)
+    obj = plane(materials=[m])
+    bake(obj)
+    behind()
+    scene = radiance(obj)
+    scene.camera.data.ortho_scale = 0.5
+    before = everything(), len(bpy.data.node_groups)
+    preview.show([obj], "irradiance")
+    scene.cycles.samples = 4096
+    scene.render.resolution_x = scene.render.resolution_y = 4
+    got = render(scene, tmp_path / "picture.exr").mean(axis=(0, 1))
+    assert np.allclose(got, want, rtol=0.02), (got, want)
+    preview.restore([obj])
+    assert difference(before[0][0], everything()[0]) == [] and len(bpy.data.node_groups) == before[1]
+
+
+def test_other_quantities_show_no_emission_of_their_own(tmp_path):
+    obj = plane(materials=[shining(material("Base", (*BASE, 1)))])
+    for key in ("direct", "radiosity"):
+        bake(obj, key)
+    assert np.allclose(pixel(obj, tmp_path / "direct.exr", "direct"), LIT, rtol=2e-3)
+    assert np.allclose(pixel(obj, tmp_path / "radiosity.exr", "radiosity"), 2 / np.pi, rtol=2e-3)
+
+
+def test_a_mesh_that_has_changed_is_magenta(tmp_path):
+    obj = plane(materials=[material("Base", (*BASE, 1))])
+    bake(obj)
+    obj.data.uv_layers["UVMap"].uv.foreach_set("vector", np.full(8, -1, np.float32))
+    got = pixel(obj, tmp_path / "picture.exr")
+    assert np.allclose(got, BASE * [1, 0, 1], rtol=2e-3)

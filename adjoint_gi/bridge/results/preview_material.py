@@ -1,8 +1,12 @@
-"""The material that shows a result: base colour of the user's material, times the result, as emission."""
+"""The material that shows a result: the user's, with emission of base colour times result in the place of all that scatters light.
+
+Transparency, glass and own emission stay as they are, so leaf cards keep their outline, lit panels their light, and windows stay clear.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import bpy
@@ -11,7 +15,14 @@ from ..host.versions import uses_nodes
 from . import stored
 
 GROUP = "Adjoint GI Preview"
+COPY = "preview copy"  # kind of node groups that are copies of the user's
+RESULT = "Adjoint GI Result"  # name of the node that reads the result
 TIMES_ALBEDO = ("irradiance", "direct", "indirect")
+WITH_EMISSION = ("irradiance",)  # of the others, a surface's own light is a part, or it is left out on purpose
+# Shaders that stay: they do not scatter the light that is baked. All others that scatter are shown by the result.
+CLEAR = {"BSDF_GLASS", "BSDF_REFRACTION", "BSDF_TRANSPARENT", "BSDF_RAY_PORTAL"}
+SCATTERS_TOO = {"SUBSURFACE_SCATTERING", "EEVEE_SPECULAR"}
+NO_PLACE = (math.pi, 0.0, math.pi, 1.0)  # result where the lightmap has none, because the mesh has changed: magenta, as of a lost image
 
 
 def make_material(
@@ -19,56 +30,163 @@ def make_material(
 ) -> bpy.types.Material:
     """A new material that shows the image of the stored link `entry`, or the colour `attribute`.
 
-    It is a copy of `material` when that has nodes and its base colour is wanted, so that textures and groups keep working; the
-    original is never touched.
+    It is a copy of `material` when that has nodes, so that textures keep working; the original is never touched.
     """
     quantity = key.split("[")[0]
-    wants_base = quantity in TIMES_ALBEDO
-    if material is not None and wants_base and uses_nodes(material):
-        made = material.copy()
-        made.name = f"{material.name} (GI)"
-    else:
-        made = bpy.data.materials.new(f"{material.name if material else obj.name} (GI)")
-        if made.node_tree is None:
-            made.use_nodes = True  # before Blender 5.0 a new material has no nodes
-        made.node_tree.nodes.clear()
+    if material is None or not uses_nodes(material):
+        return _plain(material, material.name if material else obj.name, quantity, entry, attribute)
+    made = material.copy()
+    made.name = f"{material.name} (GI)"
     made.use_fake_user = False
-    tree = made.node_tree
-    nodes, links = tree.nodes, tree.links
-
-    # Step 1: the base colour socket, before the output is taken away from its shader.
-    base = _base_color(tree) if wants_base else None
-    color = (1.0, 1.0, 1.0, 1.0)
-    if wants_base and base is None:
-        color = tuple(material.diffuse_color) if material is not None and not uses_nodes(material) else (0.8, 0.8, 0.8, 1.0)
-
-    # Step 2: the result, through its UV layer and its place in an atlas.
-    result = _image(nodes, links, entry) if entry is not None else _attribute(nodes, attribute)
-
-    # Step 3: our group turns both into emitted radiance.
-    group = nodes.new("ShaderNodeGroup")
-    group.node_tree = preview_group()
-    links.new(result, group.inputs["Result"])
-    if base is not None and base.is_linked:
-        links.new(base.links[0].from_socket, group.inputs["Base Color"])
-    else:
-        group.inputs["Base Color"].default_value = tuple(base.default_value) if base is not None else color
-    output = _output(tree) or nodes.new("ShaderNodeOutputMaterial")
-    for name in ("Volume", "Displacement"):
-        for link in list(output.inputs[name].links):
-            links.remove(link)
-    links.new(group.outputs["Shader"], output.inputs["Surface"])
+    _Rewriting(quantity, entry, attribute).rewrite(made.node_tree)
+    for output in [n for n in made.node_tree.nodes if n.type == "OUTPUT_MATERIAL"]:
+        for link in list(output.inputs["Displacement"].links):  # a bake knows the surface without it
+            made.node_tree.links.remove(link)
     return made
+
+
+def _plain(material: bpy.types.Material | None, name: str, quantity: str, entry: Any | None, attribute: str) -> bpy.types.Material:
+    """The same for a `material` without nodes, or for none."""
+    made = bpy.data.materials.new(f"{name} (GI)")
+    if made.node_tree is None:
+        made.use_nodes = True  # before Blender 5.0 a new material has no nodes
+    tree = made.node_tree
+    tree.nodes.clear()
+    color = (1.0, 1.0, 1.0, 1.0)
+    if quantity in TIMES_ALBEDO:
+        color = tuple(material.diffuse_color) if material is not None else (0.8, 0.8, 0.8, 1.0)
+    group = _group_node(tree, _result(tree, entry, attribute))
+    group.inputs["Base Color"].default_value = color
+    tree.links.new(group.outputs["Shader"], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+    return made
+
+
+class _Rewriting:
+    """Puts the result in the place of what scatters light, in a node tree and in copies of the groups in it."""
+
+    def __init__(self, quantity: str, entry: Any | None, attribute: str) -> None:
+        self._times_base, self._emits = quantity in TIMES_ALBEDO, quantity in WITH_EMISSION
+        self._entry, self._attribute = entry, attribute
+        self._copies: dict[bpy.types.NodeTree, bpy.types.NodeTree] = {}
+
+    def rewrite(self, tree: bpy.types.NodeTree) -> None:
+        """Rewrite `tree`, which is ours."""
+        nodes = list(tree.nodes)
+        scattering = [n for n in nodes if n.type in SCATTERS_TOO or (n.type.startswith("BSDF_") and n.type not in CLEAR)]
+        emitting = [n for n in nodes if n.type == "EMISSION"]
+        if not self._times_base and not scattering:  # the result is all of the light that leaves, that of lamps included
+            scattering, emitting = emitting, []
+        for node in emitting if not self._emits else ():
+            _set(tree, node.inputs["Strength"], 0.0)
+        for node in nodes:
+            if node.type == "GROUP" and node.node_tree is not None and any(s.type == "SHADER" for s in node.outputs):
+                node.node_tree = self._copy(node.node_tree)
+        result = _result(tree, self._entry, self._attribute) if scattering else None
+        for node in scattering:
+            self._replace(tree, node, result)
+
+    def _copy(self, tree: bpy.types.NodeTree) -> bpy.types.NodeTree:
+        """A rewritten copy of a group of the user, made once."""
+        if tree not in self._copies:
+            made = self._copies[tree] = tree.copy()
+            made[stored.TREE] = COPY
+            made.use_fake_user = False
+            self.rewrite(made)
+        return self._copies[tree]
+
+    def _replace(self, tree: bpy.types.NodeTree, node: bpy.types.Node, result: bpy.types.NodeSocket) -> None:
+        """The result where `node` is linked to."""
+        targets = [link.to_socket for link in node.outputs[0].links]
+        if not targets:
+            return
+        group = _group_node(tree, result)
+        base = node.inputs.get("Base Color") or node.inputs.get("Color")
+        if self._times_base and base is not None:
+            _take_over(tree, base, group.inputs["Base Color"])
+        else:
+            group.inputs["Base Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+        shader = group.outputs["Shader"]
+        if node.type == "BSDF_PRINCIPLED":
+            shader = self._principled(tree, node, shader)
+        for target in targets:
+            tree.links.new(shader, target)
+        if not node.outputs[0].links:
+            tree.nodes.remove(node)
+
+    def _principled(self, tree: bpy.types.NodeTree, node: bpy.types.Node, shader: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+        """`shader` with the transmission, emission and alpha of `node`, which stays where it is needed for its glass alone."""
+        inputs = node.inputs
+        if self._emits and _counts(inputs["Emission Strength"]) and _counts(inputs["Emission Color"]):
+            emission, add = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeAddShader")
+            _take_over(tree, inputs["Emission Color"], emission.inputs["Color"])
+            _take_over(tree, inputs["Emission Strength"], emission.inputs["Strength"])
+            tree.links.new(shader, add.inputs[0])
+            tree.links.new(emission.outputs["Emission"], add.inputs[1])
+            shader = add.outputs["Shader"]
+        alpha = tree.nodes.new("ShaderNodeMixShader") if inputs["Alpha"].is_linked or inputs["Alpha"].default_value < 1.0 else None
+        if alpha is not None:
+            _take_over(tree, inputs["Alpha"], alpha.inputs["Fac"])
+        if _counts(inputs["Transmission Weight"]):
+            mix = tree.nodes.new("ShaderNodeMixShader")
+            _take_over(tree, inputs["Transmission Weight"], mix.inputs["Fac"])
+            tree.links.new(shader, mix.inputs[1])
+            for name, value in (("Transmission Weight", 1.0), ("Metallic", 0.0), ("Alpha", 1.0), ("Emission Strength", 0.0)):
+                _set(tree, inputs[name], value)
+            tree.links.new(node.outputs[0], mix.inputs[2])
+            shader = mix.outputs["Shader"]
+        if alpha is not None:
+            tree.links.new(tree.nodes.new("ShaderNodeBsdfTransparent").outputs["BSDF"], alpha.inputs[1])
+            tree.links.new(shader, alpha.inputs[2])
+            shader = alpha.outputs["Shader"]
+        return shader
+
+
+def _counts(socket: bpy.types.NodeSocket) -> bool:
+    """Whether a socket is anything but zero, or black."""
+    value = socket.default_value
+    return socket.is_linked or any(x > 0.0 for x in (list(value)[:3] if hasattr(value, "__len__") else [value]))
+
+
+def _take_over(tree: bpy.types.NodeTree, source: bpy.types.NodeSocket, target: bpy.types.NodeSocket) -> None:
+    """Give `target` the link, or the value, that `source` has."""
+    if source.is_linked:
+        tree.links.new(source.links[0].from_socket, target)
+    else:
+        value = source.default_value
+        target.default_value = tuple(value) if hasattr(value, "__len__") else value
+
+
+def _set(tree: bpy.types.NodeTree, socket: bpy.types.NodeSocket, value: float) -> None:
+    """Give a socket a value, and no link."""
+    for link in list(socket.links):
+        tree.links.remove(link)
+    socket.default_value = value
+
+
+def _group_node(tree: bpy.types.NodeTree, result: bpy.types.NodeSocket) -> bpy.types.Node:
+    """Our group in `tree`, which reads `result`."""
+    group = tree.nodes.new("ShaderNodeGroup")
+    group.node_tree = preview_group()
+    tree.links.new(result, group.inputs["Result"])
+    return group
 
 
 def aim(material: bpy.types.Material, entry: Any | None, attribute: str) -> None:
     """Have a material of ours show the image of the stored link `entry`, or the colour `attribute`, in place of one of the same kind."""
-    ours = [n for n in material.node_tree.nodes if n.type == "GROUP" and n.node_tree is not None and stored.read(n.node_tree, stored.TREE)]
-    for link in [link for node in ours for link in node.inputs["Result"].links]:
-        if link.from_node.type == "TEX_IMAGE" and entry is not None:
-            _aim_image(link.from_node, entry)
-        elif link.from_node.type == "VERTEX_COLOR" and attribute:
-            link.from_node.layer_name = attribute
+    for tree in _trees(material.node_tree):
+        node = tree.nodes.get(RESULT)
+        if node is not None and node.type == "TEX_IMAGE" and entry is not None:
+            _aim_image(node, entry)
+        elif node is not None and node.type == "VERTEX_COLOR" and attribute:
+            node.layer_name = attribute
+
+
+def _trees(tree: bpy.types.NodeTree) -> Iterator[bpy.types.NodeTree]:
+    """`tree` and the copies of groups in it."""
+    yield tree
+    for node in tree.nodes:
+        if node.type == "GROUP" and node.node_tree is not None and stored.read(node.node_tree, stored.TREE) == COPY:
+            yield from _trees(node.node_tree)
 
 
 def preview_group() -> bpy.types.NodeTree:
@@ -96,19 +214,44 @@ def preview_group() -> bpy.types.NodeTree:
 
 
 def remove_unused_group() -> None:
-    """Remove our node group when no material uses it any more."""
-    for tree in [t for t in bpy.data.node_groups if stored.read(t, stored.TREE) == "preview" and t.library is None and t.users == 0]:
-        bpy.data.node_groups.remove(tree)
+    """Remove our node group, and copies of the user's, when no material uses them any more; a copy may hold others."""
+    unused = True
+    while unused:
+        ours = [t for t in bpy.data.node_groups if stored.read(t, stored.TREE) in ("preview", COPY) and t.library is None]
+        unused = [t for t in ours if t.users == 0]
+        for tree in unused:
+            bpy.data.node_groups.remove(tree)
 
 
-def _image(nodes: bpy.types.Nodes, links: bpy.types.NodeLinks, entry: Any) -> bpy.types.NodeSocket:
+def _result(tree: bpy.types.NodeTree, entry: Any | None, attribute: str) -> bpy.types.NodeSocket:
+    """Nodes in `tree` that read the linked image, or the colour attribute; returns their colour socket."""
+    if entry is not None:
+        return _image(tree, entry)
+    node = tree.nodes.new("ShaderNodeVertexColor")
+    node.name, node.layer_name = RESULT, attribute
+    return node.outputs["Color"]
+
+
+def _image(tree: bpy.types.NodeTree, entry: Any) -> bpy.types.NodeSocket:
     """Nodes that read the linked image; returns their colour socket."""
+    nodes, links = tree.nodes, tree.links
     uv, mapping, texture = (nodes.new(f"ShaderNode{x}") for x in ("UVMap", "Mapping", "TexImage"))
-    texture.extension = "EXTEND"
+    texture.name, texture.extension = RESULT, "EXTEND"
     links.new(uv.outputs["UV"], mapping.inputs["Vector"])
     links.new(mapping.outputs["Vector"], texture.inputs["Vector"])
     _aim_image(texture, entry)
-    return texture.outputs["Color"]
+
+    # A carried layer whose mesh has changed lies left of the image.
+    place, left, choice = (nodes.new(f"ShaderNode{x}") for x in ("SeparateXYZ", "Math", "Mix"))
+    links.new(uv.outputs["UV"], place.inputs["Vector"])
+    left.operation, left.inputs[1].default_value = "LESS_THAN", -0.5
+    links.new(place.outputs["X"], left.inputs[0])
+    choice.data_type = "RGBA"
+    factor, own, lost = (next(s for s in choice.inputs if s.name == name and s.enabled) for name in ("Factor", "A", "B"))
+    links.new(left.outputs["Value"], factor)
+    links.new(texture.outputs["Color"], own)
+    lost.default_value = NO_PLACE
+    return next(s for s in choice.outputs if s.enabled)
 
 
 def _aim_image(texture: bpy.types.Node, entry: Any) -> None:
@@ -118,33 +261,3 @@ def _aim_image(texture: bpy.types.Node, entry: Any) -> None:
     mapping.inputs["Scale"].default_value = (*entry.get("scale", (1, 1)), 1)
     mapping.inputs["Location"].default_value = (*entry.get("offset", (0, 0)), 0)
     texture.image = entry["image"]
-
-
-def _attribute(nodes: bpy.types.Nodes, name: str) -> bpy.types.NodeSocket:
-    node = nodes.new("ShaderNodeVertexColor")
-    node.layer_name = name
-    return node.outputs["Color"]
-
-
-def _output(tree: bpy.types.NodeTree) -> bpy.types.Node | None:
-    """The output that counts: for all engines, else the active one of any."""
-    return tree.get_output_node("ALL") or tree.get_output_node("CYCLES") or tree.get_output_node("EEVEE")
-
-
-def _base_color(tree: bpy.types.NodeTree) -> bpy.types.NodeSocket | None:
-    """The base colour socket of the first shader behind the output that has one, nearest first; None if there is none."""
-    output = _output(tree)
-    waiting = [link.from_node for link in output.inputs["Surface"].links] if output else []
-    seen = set()
-    while waiting:
-        node = waiting.pop(0)
-        if node.name in seen:
-            continue
-        seen.add(node.name)
-        socket = node.inputs.get("Base Color") or (node.inputs.get("Color") if node.type.startswith("BSDF_") else None)
-        if socket is not None:
-            return socket
-        for socket in node.inputs:
-            if socket.type == "SHADER" or node.type == "REROUTE":
-                waiting += [link.from_node for link in socket.links]
-    return None
