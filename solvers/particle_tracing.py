@@ -222,7 +222,7 @@ def camera_notices(world: World, receivers: Receivers, settings: ParticleSetting
         out.append(Notice("Camera", "has no area to count particles in, so they are counted on elements", "Bake to texels or vertices"))
     for index in np.unique(world.scene.material):
         material = world.scene.materials[index]
-        if any(x.kind in LOBE_KINDS and not x.color.is_black for x in material.lobes):
+        if any(x.kind in LOBE_KINDS and not x.is_black for x in material.lobes):
             reason = "scatters particles by all its lobes, but is seen as diffuse, since elements hold irradiance"
             out.append(Notice(f"Material {material.name}", reason, "Choose path tracing or two-pass for pictures of it"))
     return tuple(dict.fromkeys(out))

@@ -131,7 +131,7 @@ def rough_notices(world: World, rough: str) -> tuple[Notice, ...]:
     out = []
     used = dict.fromkeys(world.scene.materials[index] for index in np.unique(world.scene.material))
     for material in used:
-        kinds = sorted({x.kind for x in material.lobes if not x.color.is_black and _is_rough(x)})
+        kinds = sorted({x.kind for x in material.lobes if not x.is_black and _is_rough(x)})
         if not kinds:
             continue
         name, what = f"Material {material.name}", ", ".join(kinds)
@@ -176,7 +176,7 @@ class MirrorTracer:
     @property
     def splits(self) -> bool:
         """Whether any surface both reflects and passes rays."""
-        kinds = (LOBES[LOBE_KINDS.get(x.kind, DIFFUSE)] for m in self.world.scene.materials for x in m.lobes if not x.color.is_black)
+        kinds = (LOBES[LOBE_KINDS.get(x.kind, DIFFUSE)] for m in self.world.scene.materials for x in m.lobes if not x.is_black)
         return any(kind.reflects and kind.passes for kind in kinds)
 
     def estimate(self, surface: Surface, wo: np.ndarray | None, _: np.random.Generator) -> Gathered:
@@ -247,7 +247,7 @@ class MirrorTracer:
             # Purely diffuse points, most of all, are done together and at less cost.
             shiny = rest.others()
             if self.table.any_coat:
-                shiny |= rest.coat() > 0
+                shiny |= rest.coat().any(axis=1)
             for which, sum_up in ((~shiny & (rest.diffuse.max(axis=1) > 0), self._diffuse), (shiny, self._shiny)):
                 able = np.flatnonzero(which)
                 if len(able):
@@ -310,12 +310,12 @@ class MirrorTracer:
 
 def _ambient_reflectance(lobes: bsdf.Lobes) -> np.ndarray:
     """(n, 3) average reflectance rho_a of the lobes that are not followed by rays."""
-    out = lobes.diffuse * (1 - lobes.coat())[:, None]
-    share = [(slot.kind > 0).astype(np.float32) for slot in lobes.slots]
-    for i, rows, albedo in lobes.albedos():
-        share[i][rows] = albedo
-    for slot, part in zip(lobes.slots, share, strict=True):
-        out = out + slot.color * part[:, None]
+    out = lobes.diffuse * (1 - lobes.coat())
+    albedo = [np.where(slot.kind[:, None] > 0, slot.color, np.float32(0)) for slot in lobes.slots]
+    for i, rows, partial in lobes.albedos():
+        albedo[i][rows] = partial
+    for slot, part in zip(lobes.slots, albedo, strict=True):
+        out = out + part * slot.weight[:, None]
     return out
 
 

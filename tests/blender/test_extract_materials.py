@@ -48,11 +48,12 @@ def test_principled_weights():
     values = {"Base_Color": (0.5, 0.4, 0.3, 1), "Metallic": 0.25, "Transmission_Weight": 0.5, "Alpha": 0.8}
     lobes, _ = lobes_of(principled(**values, Roughness=0.3, IOR=1.6, Emission_Color=(1, 0.5, 0, 1), Emission_Strength=10.0))
     assert lobes["transparent"].color.constant == approx(0.2)
-    assert lobes["metallic"].color.constant == approx(0.5 * 0.2, 0.4 * 0.2, 0.3 * 0.2)
-    assert lobes["glass"].color.constant == approx(0.5**0.5 * 0.3, 0.4**0.5 * 0.3, 0.3**0.5 * 0.3)
-    assert lobes["dielectric"].color.constant == approx(*((1 - c**0.5) * 0.3 for c in (0.5, 0.4, 0.3)))
-    assert lobes["diffuse"].color.constant == approx(0.5 * 0.3, 0.4 * 0.3, 0.3 * 0.3)
-    assert lobes["specular"].color.constant == approx(0.3)
+    assert lobes["metallic"].color.constant == approx(0.5, 0.4, 0.3)
+    assert lobes["glass"].color.constant == approx(0.5**0.5, 0.4**0.5, 0.3**0.5)
+    assert lobes["dielectric"].color.constant == approx(*(1 - c**0.5 for c in (0.5, 0.4, 0.3)))
+    assert lobes["diffuse"].share.constant == approx(0.5 * 0.3, 0.4 * 0.3, 0.3 * 0.3)
+    assert lobes["specular"].color.constant == approx(1.0) and lobes["specular"].stack == lobes["diffuse"].stack
+    assert [lobes[kind].weight for kind in ("metallic", "glass", "dielectric", "specular")] == pytest.approx([0.2, 0.3, 0.3, 0.3])
     assert lobes["emission"].color.constant == approx(8.0, 4.0, 0.0)
     assert lobes["glass"].ior == pytest.approx(1.6) and lobes["metallic"].roughness == pytest.approx(0.3)
 

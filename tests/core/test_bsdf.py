@@ -243,8 +243,8 @@ def test_fresnel_of_window_glass(degrees, expected):
     assert value[0] == pytest.approx(expected, rel=1e-4)
 
 
-def rough(color, roughness, many=True, tint=None):
-    return [Lobe("rough diffuse", C(color), roughness, multiscatter=many, tint=tint)]
+def rough(color, roughness, many=True, weight=1.0):
+    return [Lobe("rough diffuse", C(color), roughness, multiscatter=many, weight=weight)]
 
 
 @pytest.mark.parametrize("roughness", [0.1, 0.5, 1.0])
@@ -303,13 +303,13 @@ def test_factors_and_tints_of_a_white_lobe_make_up_the_lobe(kind, many):
 
     def seen(color, alpha, many):
         shape = np.full(n, alpha, np.float32), np.full(n, 1.5, np.float32)
-        return LobeView(wo, color, *shape, Mixture.of(0, n), np.ones(n, bool), np.full(n, many), color)
+        return LobeView(wo, color, *shape, Mixture.of(0, n), np.ones(n, bool), np.full(n, many))
 
     color = np.tile(np.float32([0.9, 0.6, 0.2]), (n, 1))
     name, width = kind.split(alpha)
     (base,) = (k for k in kinds.LOBES if k.name == name)
     white = base.evaluate(seen(np.ones_like(color), width, False), wi)[0]
-    factors, tints = kind.factors(alpha, wo, wi), kind.tints(alpha, many, color, color)
+    factors, tints = kind.factors(alpha, wo, wi), kind.tints(alpha, many, color)
     assert len(factors) == len(tints) == kind.parts
     got = sum(white * f[:, None] * t for f, t in zip(factors, tints, strict=True))
     want = kind.evaluate(seen(color, alpha, many), wi)[0]
@@ -335,7 +335,7 @@ def test_a_share_of_a_rough_diffuse_lobe_bounces_light_by_its_own_colour():
     """Half of a lobe in a mix is half as bright, not a lobe of half the albedo, which loses more between its facets."""
     wo, wi = view(1.0, 1), view(0.95, 1)
     whole, half, darker = (
-        bsdf.evaluate(lobes_at(lobes, wo), wi)[0][0, 0] for lobes in (rough(0.8, 1.0), rough(0.4, 1.0, tint=C(0.8)), rough(0.4, 1.0))
+        bsdf.evaluate(lobes_at(lobes, wo), wi)[0][0, 0] for lobes in (rough(0.8, 1.0), rough(0.8, 1.0, weight=0.5), rough(0.4, 1.0))
     )
     assert half == pytest.approx(0.5 * whole, rel=1e-6)
     assert darker < 0.95 * half

@@ -171,7 +171,7 @@ def test_a_coat_dims_what_lies_below_it_but_no_light_is_lost():
     first = first_pass(scenes.cube(materials=[coated, *[diffuse("Wall", 0.0, 1.0)] * 5]), rays=4096)
     chains = first.chains
     at = np.zeros(1, np.int32), np.full(1, 0.3, np.float32), np.full(1, 0.3, np.float32)
-    mean = chains.table.coats.mean_at(chains.table.coating(*at))[0]
+    mean = chains.table.coats.mean_albedo(chains.table.coating(*at), 1)[0, 0]
     assert mean == pytest.approx(0.0918, abs=2e-3)  # Fresnel reflectance of diffuse light at index 1.5
     # A white furnace: all that leaves the coated face, seen from the others, is base and coat times the radiance 1 of the walls.
     t = first.transport

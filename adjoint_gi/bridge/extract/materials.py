@@ -16,9 +16,9 @@ from .color_math import NotPolynomial, mapped
 from .colors import Colors
 from .images import Images
 from .nodes import Place, is_linked
-from .shaders import Shaders, merged, surface
+from .shaders import LINEAR, Shaders, merged, surface
 
-BESIDE = ("emission", "specular", "dielectric")  # lobes that take nothing from what the others reflect and pass
+COAT = "specular"  # what it reflects is taken from the base below
 DEFAULT = "Default"  # name of the material of faces without one
 
 
@@ -79,16 +79,18 @@ class Materials:
         emission = lobe.kind == "emission"
         top = LARGEST_EMISSION if emission else 1.0
         word = "emission" if emission else "albedo"
-        color = lobe.color
-        if color.is_constant:
-            clamped = tuple(_clamp(c, top) for c in color.constant)
-            if any(abs(a - b) > 1e-6 or a != a for a, b in zip(color.constant, clamped, strict=True)):
-                self._tell(f"has an {word} outside 0 to {top:g}; it is clamped", f"Choose an {word} of 0 to {top:g}")
-            color = Color.of(*clamped)
-        else:
-            color = self._safe_textured(color, top, word)
+        color, weight = self._safe_color(lobe.color, top, word), self._safe_color(Color.of(1.0) * lobe.weight, LARGEST_EMISSION, "weight")
         roughness, ior = lobe.roughness if math.isfinite(lobe.roughness) else 1.0, lobe.ior if math.isfinite(lobe.ior) else 1.45
-        return replace(lobe, color=color, roughness=roughness, ior=ior)
+        return replace(lobe, color=color, weight=weight.constant[0] if weight.is_constant else weight, roughness=roughness, ior=ior)
+
+    def _safe_color(self, color: Color, top: float, word: str) -> Color:
+        """A colour between 0 and `top`; `word` says what it is."""
+        if not color.is_constant:
+            return self._safe_textured(color, top, word)
+        clamped = tuple(_clamp(c, top) for c in color.constant)
+        if any(abs(a - b) > 1e-6 or a != a for a, b in zip(color.constant, clamped, strict=True)):
+            self._tell(f"has an {word} outside 0 to {top:g}; it is clamped", f"Choose an {word} of 0 to {top:g}")
+        return Color.of(*clamped)
 
     def _safe_textured(self, color: Color, top: float, word: str) -> Color:
         """Textured colours: no infinite constants, and single images that leave the range are clamped."""
@@ -110,18 +112,18 @@ class Materials:
 
     def _bounded(self, lobes: list[Lobe]) -> tuple[Lobe, ...]:
         """All lobes together must not reflect and pass more than they receive: constants over 1 are scaled down with a notice."""
-        total = np.zeros(3)
+        totals = {False: np.zeros(3), True: np.zeros(3)}
         for lobe in lobes:
-            if lobe.kind not in BESIDE and lobe.color.is_constant:
-                total += lobe.color.constant
-        worst = float(total.max())
+            if lobe.kind != "emission" and lobe.share.is_constant:
+                totals[lobe.kind == COAT] += lobe.share.constant
+        worst = float(max(total.max() for total in totals.values()))
         if worst <= 1.0 + 1e-5:
-            return tuple(lobe for lobe in lobes if not lobe.color.is_black)
+            return tuple(lobe for lobe in lobes if not lobe.is_black)
         self._tell(
             f"reflects and passes {worst:.3g} times what it receives; it is scaled down to 1", "Use Mix Shader instead of Add Shader"
         )
-        out = [x if x.kind in BESIDE else replace(x, color=x.color * (1.0 / worst)) for x in lobes]
-        return tuple(lobe for lobe in out if not lobe.color.is_black)
+        out = [x if x.kind == "emission" else replace(x, weight=x.weight * (1.0 / worst)) for x in lobes]
+        return tuple(lobe for lobe in (replace(x, color=x.share, weight=1.0) if x.kind in LINEAR else x for x in out) if not lobe.is_black)
 
 
 def _clamp(x: float, top: float) -> float:

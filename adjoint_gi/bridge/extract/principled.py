@@ -1,10 +1,10 @@
 """Principled BSDF of Blender 4.2 to 5.2 as lobes; sockets are looked up by name.
 
-With alpha a, metallic m, transmission t, base colour C (each may be textured):
-    transparent 1 - a;  emission a * colour * strength;  metallic a m C;
-    glass a (1 - m) t sqrt(C), dielectric a (1 - m) t (1 - sqrt(C));
-    diffuse a (1 - m) (1 - t) C, rough where Diffuse Roughness is above 0;
-    specular a (1 - m) (1 - t) tint, a dielectric coat over the diffuse.
+With alpha a, metallic m, transmission t, base colour C (each may be textured), weight x colour:
+    transparent 1 - a;  emission a * colour * strength;  metallic a m x C;
+    glass a (1 - m) t x sqrt(C), dielectric a (1 - m) t x (1 - sqrt(C));
+    diffuse a (1 - m) (1 - t) x C, rough where Diffuse Roughness is above 0;
+    specular a (1 - m) (1 - t) x tint, a dielectric coat over the diffuse of the same node.
 Like in Cycles, what passes is coloured by sqrt(C), so that two surfaces give C, and what is reflected is white: the glass lobe colours
 both, and the dielectric lobe adds what its reflections lack.
 Sheen, coat, thin film, anisotropy and subsurface scattering are not computed and are named when they are used.
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 
-from ...core.scene.arrays import Color, Lobe
+from ...core.scene.arrays import Color, Lobe, Scalar
 from ..host.versions import rough_diffuse_keeps_energy
 from .colors import Colors
 from .nodes import Place, inputs, is_linked
@@ -29,8 +29,8 @@ IGNORED = {
 }
 
 
-def principled_lobes(colors: Colors, place: Place) -> list[Lobe]:
-    """Lobes of the Principled node that `place` is an output of."""
+def principled_lobes(colors: Colors, place: Place, stack: int) -> list[Lobe]:
+    """Lobes of the Principled node that `place` is an output of; `stack` is a number of its own for its coat and its base."""
     sockets = inputs(place)
 
     def value(name: str, default: float) -> Color:
@@ -51,6 +51,8 @@ def principled_lobes(colors: Colors, place: Place) -> list[Lobe]:
     dielectric = alpha * metallic.complement() * transmission.complement()
 
     many = place.socket.node.distribution == "MULTI_GGX"
+    adjusted = _adjusted_ior(ior, level)
+    stack = stack if adjusted != 1.0 else 0  # no coat: the base may join others
 
     # Step 1: what passes through and what is emitted. The default emission strength is 0, its default colour is not.
     lobes = [Lobe("transparent", alpha.complement())]
@@ -59,17 +61,16 @@ def principled_lobes(colors: Colors, place: Place) -> list[Lobe]:
         lobes.append(Lobe("emission", colors.color(sockets["Emission Color"]) * strength * alpha))
 
     # Step 2: what is reflected.
-    lobes.append(diffuse_lobe(base * dielectric, base, number("Diffuse Roughness", 0.0)))
-    lobes.append(Lobe("metallic", base * metallic * alpha, roughness, multiscatter=many))
+    lobes.append(diffuse_lobe(base, number("Diffuse Roughness", 0.0), dielectric, stack))
+    lobes.append(Lobe("metallic", base, roughness, multiscatter=many, weight=metallic * alpha))
     glass = alpha * metallic.complement() * transmission
     if not glass.is_black:
         root = _root(colors, place, base)
-        lobes.append(Lobe("glass", root * glass, roughness, ior, many))
-        lobes.append(Lobe("dielectric", root.complement() * glass, roughness, ior))
-    adjusted = _adjusted_ior(ior, level)
+        lobes.append(Lobe("glass", root, roughness, ior, many, glass))
+        lobes.append(Lobe("dielectric", root.complement(), roughness, ior, weight=glass))
     if adjusted != 1.0:
         tint = colors.color(sockets["Specular Tint"]) if "Specular Tint" in sockets else Color.of(1.0)
-        lobes.append(Lobe("specular", tint * dielectric, roughness, adjusted))
+        lobes.append(Lobe("specular", tint, roughness, adjusted, weight=dielectric, stack=stack))
 
     # Step 3: name what is left out.
     for name, text in IGNORED.items():
@@ -77,14 +78,15 @@ def principled_lobes(colors: Colors, place: Place) -> list[Lobe]:
             colors.skip(place, f"has {text}", "the rest is used", f"Set {name} to 0")
     if "Normal" in sockets and is_linked(sockets["Normal"]):
         colors.skip(place, "has a bump or normal map", "the mesh's own normals are used", "")
-    return [lobe for lobe in lobes if not lobe.color.is_black]
+    return [lobe for lobe in lobes if not lobe.is_black]
 
 
-def diffuse_lobe(color: Color, tint: Color, roughness: float) -> Lobe:
-    """An ideal diffuser, or with a roughness that of Oren and Nayar; `color` is `tint` times the weight of the lobe."""
+def diffuse_lobe(color: Color, roughness: float, weight: Scalar = 1.0, stack: int = 0) -> Lobe:
+    """An ideal diffuser, or with a roughness that of Oren and Nayar."""
     if not roughness > 0.0:
-        return Lobe("diffuse", color)
-    return Lobe("rough diffuse", color, min(roughness, 1.0), multiscatter=rough_diffuse_keeps_energy(), tint=tint)
+        return Lobe("diffuse", color, weight=weight, stack=stack)
+    keeps = rough_diffuse_keeps_energy()
+    return Lobe("rough diffuse", color, min(roughness, 1.0), multiscatter=keeps, weight=weight, stack=stack)
 
 
 def _root(colors: Colors, place: Place, base: Color) -> Color:

@@ -1,4 +1,4 @@
-"""Shader nodes to lobes: the weights of Mix and Add Shader are multiplied out into the lobes' colours."""
+"""Shader nodes to lobes. Mix and Add Shader multiply weights, never the colours of which Fresnel's terms are computed."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from .nodes import UNREADABLE, NodesTooDeep, Place, follow, inputs, is_linked
 from .principled import diffuse_lobe, principled_lobes
 
 DEPTH = 64  # shaders mixed into each other
+LINEAR = ("diffuse", "emission", "transparent")  # kinds whose weight goes into their colour: nothing else is computed of it
 GREY = 0.8  # Cycles' default surface
 
 
@@ -27,6 +28,7 @@ class Shaders:
     def __init__(self, colors: Colors) -> None:
         self.colors = colors
         self._depth = 0
+        self._stacks = 0  # coats and their bases given out so far
         self._known: dict[Place, list[Lobe]] = {}  # shaders already read: one that feeds two inputs is read once
 
     def lobes(self, place: Place, weight: Color) -> list[Lobe]:
@@ -51,7 +53,7 @@ class Shaders:
                 self._known[found] = self._shader(found)
             finally:
                 self._depth -= 1
-        return [replace(x, color=self._times(x.color, weight)) for x in self._known[found]]
+        return [self._weighted(x, weight) for x in self._known[found]]
 
     def _shader(self, place: Place) -> list[Lobe]:
         """Lobes of the node that `place` is an output of; one that cannot be read is named and counts as Cycles' default."""
@@ -66,6 +68,11 @@ class Shaders:
 
     def _tell(self, reason: str, remedy: str) -> None:
         self.colors.notices.add(self.colors.owner, reason, remedy)
+
+    def _weighted(self, lobe: Lobe, weight: Color) -> Lobe:
+        if lobe.kind in LINEAR:
+            return replace(lobe, color=self._times(lobe.share, weight), weight=1.0)
+        return replace(lobe, weight=self._times(Color.of(1.0) * lobe.weight, weight))
 
     def _times(self, color: Color, weight: Color) -> Color:
         """Product of two polynomials; if it gets too long, the colour alone with a notice."""
@@ -93,7 +100,8 @@ class Shaders:
         return [Lobe("emission", self._times(self.colors.color(sockets["Color"]), self.colors.value(sockets["Strength"])))]
 
     def _principled(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
-        return principled_lobes(self.colors, place)
+        self._stacks += 1
+        return principled_lobes(self.colors, place, self._stacks)
 
     def _diffuse(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
         """Diffuse BSDF, Lambert's or with a roughness Oren and Nayar's."""
@@ -101,7 +109,7 @@ class Shaders:
         self._normal(place, sockets)
         roughness = self.colors.number(sockets["Roughness"], "roughness") if "Roughness" in sockets else 0.0
         color = self.colors.color(sockets["Color"])
-        return [diffuse_lobe(color, color, roughness)]
+        return [diffuse_lobe(color, roughness)]
 
     def _as_diffuse(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
         """Translucent, subsurface, sheen, toon: their colour reflected by an ideal diffuser."""
@@ -181,13 +189,13 @@ _SHADERS: dict[str, Callable[[Shaders, bpy.types.Node, Place], list[Lobe]]] = {
 
 
 def merged(lobes: list[Lobe]) -> list[Lobe]:
-    """One lobe for all of the same kind, roughness, index, distribution and tint: constants add up, and clamping sees their sum."""
-    sums: dict[tuple, Color] = {}
+    """One lobe for all that differ in weight alone, and for all of a `LINEAR` kind: constants add up, and clamping sees their sum."""
+    sums: dict[Lobe, Color] = {}
     for lobe in lobes:
-        plain = lobe.kind in ("diffuse", "emission", "transparent")
-        key = (lobe.kind, 1.0 if plain else lobe.roughness, 1.45 if plain else lobe.ior, lobe.multiscatter, lobe.tint)
-        sums[key] = sums.get(key, Color()) + lobe.color
-    return [Lobe(kind, combined(color), *shape) for (kind, *shape), color in sums.items()]
+        linear = lobe.kind in LINEAR
+        key = Lobe(lobe.kind, Color(), stack=lobe.stack) if linear else replace(lobe, weight=1.0)
+        sums[key] = sums.get(key, Color()) + (lobe.share if linear else Color.of(1.0) * lobe.weight)
+    return [replace(x, **{"color" if x.kind in LINEAR else "weight": combined(total)}) for x, total in sums.items()]
 
 
 def surface(tree: bpy.types.NodeTree, output: str) -> Place | None:

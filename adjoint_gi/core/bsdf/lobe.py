@@ -18,9 +18,9 @@ DELTA_ALPHA = np.float32(1e-3)
 class LobeView:
     """Lobes of one kind at m points, seen from `wo` (m, 3) float32, unit, in the frame of the shading normal (z), wo_z > 0.
 
-    color (m, 3); alpha (m,), roughness squared; ior (m,); entering (m,) bool: seen from outside; gain: rows of the scene's `Gains`,
-    0 where light that bounces more than once between microfacets is lost; many (m,) bool: it is kept; tint (m, 3): the colour of the
-    surface itself, of which `color` may be a share.
+    color (m, 3), the surface's own: what weight a lobe has in a mix is left to `table.py`; alpha (m,), roughness squared; ior (m,);
+    entering (m,) bool: seen from outside; gain: rows of the scene's `Gains`, 0 where light that bounces more than once between
+    microfacets is lost; many (m,) bool: it is kept.
     """
 
     wo: np.ndarray
@@ -30,12 +30,11 @@ class LobeView:
     gain: Mixture
     entering: np.ndarray
     many: np.ndarray
-    tint: np.ndarray
 
     def take(self, which: np.ndarray) -> LobeView:
         """The same at a subset of the points."""
         parts = (self.wo, self.color, self.alpha, self.ior)
-        return LobeView(*(a[which] for a in parts), self.gain.take(which), self.entering[which], self.many[which], self.tint[which])
+        return LobeView(*(a[which] for a in parts), self.gain.take(which), self.entering[which], self.many[which])
 
     @property
     def eta(self) -> np.ndarray:
@@ -60,7 +59,7 @@ class LobeKind(ABC):
     reflects        whether a smooth one sends light the way a mirror does (`reflected`)
     passes          whether it lets light through (`passed`)
     refracts        whether what passes is turned by the index
-    under_coat      whether a coat of the same material lies over it and dims it
+    under_coat      whether a coat of the same stack lies over it and dims it
     is_coat         whether it is such a coat
     highlight       whether the empirical models of local illumination draw a highlight for it
     regains         whether `Gains` give back light that bounces more than once between facets (by the index, too, where it `passes`)
@@ -68,7 +67,7 @@ class LobeKind(ABC):
     parts           how many `factors` there are
     two_sided       whether it looks the same from both sides
     ray_kind        the `RayKind` of rays that it scatters without letting them through
-    partial         whether `albedo` is far from 1 (of a coat, the scene's table of coats says it)
+    partial         whether `albedo` is far from the colour (of a coat, the scene's table of coats says it)
     """
 
     name = ""
@@ -87,12 +86,12 @@ class LobeKind(ABC):
         """Directions from uniform numbers `r` (3, m); `smooth` (m,) bool: perfectly smooth."""
 
     def albedo(self, seen: LobeView) -> np.ndarray:
-        """(m,) share of light from everywhere that is sent towards wo, over the colour."""
-        return np.ones(len(seen.wo), np.float32)
+        """(m, 3) about the share of light from everywhere that is sent towards wo."""
+        return seen.color
 
     def as_diffuse(self, lobe: Lobe) -> Color:
         """Albedo of the diffuse surface that methods put in its place which know no other lobe; black where they leave it out."""
-        return lobe.color
+        return lobe.share
 
     def mean(self, color: np.ndarray) -> np.ndarray:
         """(m, 3) what facets of this colour (m, 3) reflect and pass, in the mean over all angles."""
@@ -118,6 +117,6 @@ class LobeKind(ABC):
         """Factors (n,) float64 on the pairs of `split`: their sum, each times its colour of `tints`, is this lobe."""
         return [np.ones(len(given))]
 
-    def tints(self, alpha: float, many: bool, color: np.ndarray, tint: np.ndarray) -> list[np.ndarray]:
-        """Colours (m, 3), one for each of `factors`; `tint` (m, 3) as in `LobeView`."""
+    def tints(self, alpha: float, many: bool, color: np.ndarray) -> list[np.ndarray]:
+        """Colours (m, 3), one for each of `factors`, of surfaces of `color` (m, 3)."""
         return [color]

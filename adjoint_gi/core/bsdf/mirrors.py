@@ -48,6 +48,7 @@ def _branch(lobes: bsdf.Lobes, i: int, rows: np.ndarray, through: bool) -> Branc
             weight[at] = seen.color * passed[:, None]
         else:
             weight[at] = LOBES[k].reflected(seen, seen.wo[:, 2])
+        weight[at] *= lobes.slots[i].weight[rows[at], None]
     world = lobes.take(rows).to_world(wi)
     if through:
         # A transparent surface must not turn rays where its shading normal leans away.

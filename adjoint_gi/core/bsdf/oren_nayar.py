@@ -37,7 +37,7 @@ class OrenNayar(LobeKind):
         once, again = terms(seen.alpha, seen.wo, wi)
         value = seen.color * (once * up)[:, None]
         if seen.many.any():
-            value += seen.color * kept(seen.alpha, seen.tint) * (again * up * seen.many)[:, None]
+            value += seen.color * kept(seen.alpha, seen.color) * (again * up * seen.many)[:, None]
         return value, up / mf.PI
 
     def sample(self, seen: LobeView, smooth: np.ndarray, r: np.ndarray) -> Drawn:
@@ -45,14 +45,13 @@ class OrenNayar(LobeKind):
         return Drawn(local_cosine_directions(r), seen.color)
 
     def as_diffuse(self, lobe: Lobe) -> Color:
-        """What it reflects of uniform light. Where roughness or tint vary, its colour, which is up to 7 % more at 0.8."""
-        tint = lobe.tint or lobe.color
-        if lobe.varies or not tint.is_constant:
-            return lobe.color
+        """What it reflects of uniform light. Where roughness or colour vary, its colour, which is up to 7 % more at 0.8."""
+        if lobe.varies or not lobe.color.is_constant:
+            return lobe.share
         alpha = np.array([constant_of(lobe.roughness) ** 2])
         once = mean_albedo(alpha)
-        again = lobe.multiscatter * (1 - once) * kept(alpha, np.array([tint.constant]))[0]
-        return lobe.color * Color.of(*(once + again))
+        again = lobe.multiscatter * (1 - once) * kept(alpha, np.array([lobe.color.constant]))[0]
+        return lobe.share * Color.of(*(once + again))
 
     def split(self, alpha: float) -> tuple[str, float]:
         """A smooth one, which is an ideal diffuser."""
@@ -62,9 +61,9 @@ class OrenNayar(LobeKind):
         """The first term of f, and the second one without its colours, over 1 / pi."""
         return [np.pi * x.astype(float) for x in terms(np.full(len(given), alpha, np.float32), given, other)]
 
-    def tints(self, alpha: float, many: bool, color: np.ndarray, tint: np.ndarray) -> list[np.ndarray]:
+    def tints(self, alpha: float, many: bool, color: np.ndarray) -> list[np.ndarray]:
         """The colour, and what is left of it after more bounces."""
-        return [color, many * color * kept(np.full(len(color), alpha), tint)]
+        return [color, many * color * kept(np.full(len(color), alpha), color)]
 
 
 def terms(alpha: np.ndarray, wo: np.ndarray, wi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -84,10 +83,10 @@ def mean_albedo(alpha: np.ndarray) -> np.ndarray:
     return (mf.PI + r * MEAN) / (mf.PI + r * LOSS)
 
 
-def kept(alpha: np.ndarray, tint: np.ndarray) -> np.ndarray:
-    """(n, 3) rho^2 Em / (1 - rho (1 - Em))."""
+def kept(alpha: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """(n, 3) rho^2 Em / (1 - rho (1 - Em)), rho the colour."""
     mean = mean_albedo(alpha)[:, None]
-    rho = np.clip(tint, 0, 1)
+    rho = np.clip(color, 0, 1)
     return rho * rho * mean / (1 - rho * (1 - mean))
 
 

@@ -51,6 +51,7 @@ class Metallic(Glossy):
 
     name = "metallic"
     parts = 2
+    partial = True
 
     def reflected(self, seen: LobeView, cosine: np.ndarray) -> np.ndarray:
         """By Schlick's formula."""
@@ -59,6 +60,14 @@ class Metallic(Glossy):
     def mean(self, color: np.ndarray) -> np.ndarray:
         """The mean of Schlick's reflectance is f0 + (1 - f0) / 21."""
         return color + (1 - color) / 21
+
+    def albedo(self, seen: LobeView) -> np.ndarray:
+        """The reflectance of a smooth metal."""
+        return mf.schlick(seen.wo[:, 2], seen.color)
+
+    def as_diffuse(self, lobe: Lobe) -> Color:
+        """Its mean reflectance."""
+        return lobe.share * (20 / 21) + Color.of(1 / 21) * lobe.weight
 
     def split(self, alpha: float) -> tuple[str, float]:
         """Facets of one colour."""
@@ -71,7 +80,7 @@ class Metallic(Glossy):
         white = np.clip(1 - np.einsum("ij,ij->i", given, h).astype(np.float64), 0, 1) ** 5
         return [1 - white, white]
 
-    def tints(self, alpha: float, many: bool, color: np.ndarray, tint: np.ndarray) -> list[np.ndarray]:
+    def tints(self, alpha: float, many: bool, color: np.ndarray) -> list[np.ndarray]:
         """The metal's colour, and white."""
         return [color, np.ones_like(color)]
 
@@ -93,11 +102,11 @@ class Dielectric(Reflection):
 
     def albedo(self, seen: LobeView) -> np.ndarray:
         """The reflectance of a smooth boundary."""
-        return mf.fresnel(seen.wo[:, 2], seen.eta)
+        return self.reflected(seen, seen.wo[:, 2])
 
 
 class Specular(Reflection):
-    """A dielectric coat over what the material has `under_coat`. It lies on both sides and is never seen from inside."""
+    """A dielectric coat over what its stack has `under_coat`. It lies on both sides and is never seen from inside."""
 
     name = "specular"
     is_coat = highlight = partial = True

@@ -19,11 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..sampling.maps import dot_rows, frame_rows
-from ..scene.arrays import Color, Lobe, RayKind, SceneArrays, constant_of
+from ..scene.arrays import Color, Lobe, Material, RayKind, SceneArrays, constant_of
 from ..scene.shading import ColorField, ScalarField
 from ..scene.substitutes import as_diffuse
 from . import microfacet as mf
-from .coat import MAX_COAT_SHARE, Coats
+from .coat import Coating, Coats, CoatShares, Layer
 from .curves import Grid, Mixture
 from .diffuse import lambert, local_cosine_directions
 from .lobe import LobeKind, LobeView
@@ -32,26 +32,27 @@ from .multiscatter import Gains
 
 __all__ = ["LOBE_KINDS", "LOBES", "BsdfTable", "Lobes", "Scattered", "Slot", "evaluate", "sample", "weights", "white_lobe"]
 
+LEAST_ALBEDO = np.float32(0.02)  # as which a lobe counts at least when one is picked: coats and metals that are dark at normal incidence
+
 
 @dataclass(frozen=True, eq=False)
 class Slot:
-    """One non-diffuse lobe at n points: kind (n,) int8 (0 where there is none), color (n, 3), alpha (n,), ior (n,), and gain, rows of
-    `BsdfTable.gains` for light that bounces more than once between microfacets, 0 where it is lost; many (n,) bool: it is kept;
-    tint (n, 3): the surface's own colour, where `color` is a share of it."""
+    """One non-diffuse lobe at n points: kind (n,) int8 (0 where there is none), color (n, 3) of the surface, weight (n,) that the lobe
+    has, alpha (n,), ior (n,), and gain, rows of `BsdfTable.gains` for light that bounces more than once between microfacets, 0 where it
+    is lost; many (n,) bool: it is kept."""
 
     kind: np.ndarray
     color: np.ndarray
+    weight: np.ndarray
     alpha: np.ndarray
     ior: np.ndarray
     gain: Mixture
     many: np.ndarray
-    tint: np.ndarray | None = None
 
     def take(self, which: np.ndarray) -> Slot:
         """The same at a subset of the points."""
-        tint = None if self.tint is None else self.tint[which]
-        parts = (self.kind, self.color, self.alpha, self.ior)
-        return Slot(*(a[which] for a in parts), self.gain.take(which), self.many[which], tint)
+        parts = (self.kind, self.color, self.weight, self.alpha, self.ior)
+        return Slot(*(a[which] for a in parts), self.gain.take(which), self.many[which])
 
     @property
     def delta(self) -> np.ndarray:
@@ -64,7 +65,6 @@ class Lobes:
     """The BSDF at n surface points seen from `wo` (n, 3): frame of the shading normal and lobe weights.
 
     entering (n,) bool: seen from outside, so that light which goes through enters the object.
-    coating: rows of the table of coats, 0 for no coat.
     """
 
     wo: np.ndarray  # world
@@ -75,7 +75,7 @@ class Lobes:
     diffuse: np.ndarray
     slots: tuple[Slot, ...]
     entering: np.ndarray
-    coating: Mixture
+    coating: Coating
     table: BsdfTable
 
     def take(self, which: np.ndarray) -> Lobes:
@@ -103,14 +103,17 @@ class Lobes:
     def seen(self, i: int, rows: np.ndarray) -> LobeView:
         """Slot `i` in some rows, all of one kind."""
         s = self.slots[i]
-        color = s.color[rows]
-        tint = color if s.tint is None else s.tint[rows]
-        return LobeView(self.local[rows], color, s.alpha[rows], s.ior[rows], s.gain.take(rows), self.entering[rows], s.many[rows], tint)
+        return LobeView(self.local[rows], s.color[rows], s.alpha[rows], s.ior[rows], s.gain.take(rows), self.entering[rows], s.many[rows])
 
     def albedos(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        """Where lobes reflect only a part of their colour towards wo: slot, rows (m,), and the part (m,)."""
+        """Where lobes of weight 1 send something else than their colour of uniform light towards wo: slot, rows (m,), and what (m, 3)."""
         for i, kind, rows, seen in self.each(tuple(PARTIAL[s.kind] for s in self.slots)):
-            yield i, rows, self.coat(rows) if kind.is_coat else kind.albedo(seen)
+            yield i, rows, self._coat_albedo(i, rows) if kind.is_coat else kind.albedo(seen)
+
+    def _coat_albedo(self, i: int, rows: np.ndarray) -> np.ndarray:
+        """(m, 3) of the coats in slot `i`."""
+        layer = next(x for x in self.coating.layers if x.slot == i)
+        return self.slots[i].color[rows] * self.table.coats.at(layer.rows.take(rows), False, self.local[rows, 2])[:, None]
 
     def without(self, gone: tuple[np.ndarray, ...]) -> Lobes:
         """The same, the slots taken out where `gone` (one (n,) bool for each slot) says so; a coat still dims what lies below it."""
@@ -123,12 +126,11 @@ class Lobes:
     def white(self) -> Lobes:
         """White diffuse surfaces at the same points, without a coat."""
         slots = tuple(replace(s, kind=np.zeros_like(s.kind)) for s in self.slots)
-        return replace(self, diffuse=np.ones_like(self.diffuse), slots=slots, coating=Mixture.of(0, len(self.wo)))
+        return replace(self, diffuse=np.ones_like(self.diffuse), slots=slots, coating=Coating())
 
     def coat(self, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """(m,) albedo towards wo of what coats the points in some rows, 0 without a coat."""
-        here = self.coating if isinstance(rows, slice) else self.coating.take(rows)
-        return self.table.coat_at(here, self.local[rows, 2])
+        """(m, 1) or (m, 3), by what share coats dim what the points in some rows send towards wo from below, 0 without a coat."""
+        return self.table.coats.albedo(self.coating.take(rows), self.local[rows, 2])
 
     def others(self) -> np.ndarray:
         """(n,) bool: whether there is any lobe but the diffuse one."""
@@ -160,14 +162,15 @@ class BsdfTable:
         taken = tuple({"diffuse"} | NEARLY_DIFFUSE - known)
         self._material = np.asarray(scene.material, np.int32)
         mats = scene.materials
-        others = [[x for x in m.lobes if x.kind in LOBE_KINDS and x.kind not in taken and not x.color.is_black] for m in mats]
+        others = [[x for x in m.lobes if x.kind in LOBE_KINDS and x.kind not in taken and not x.is_black] for m in mats]
         self.count = max((len(o) for o in others), default=0)
         self.varies = np.array([any(x.varies for x in o) for o in others] or [False])
         self.diffuse = ColorField([as_diffuse(m, taken) for m in mats], scene)
         self.gains, self.coats = Gains(), Coats()
         self.slots = tuple(SlotFields([o[i] if i < len(o) else None for o in others], scene, self) for i in range(self.count))
-        constant = [[] if varies else [coat_of(x) for x in o if is_coat(x)] for o, varies in zip(others, self.varies, strict=bool(mats))]
-        self._coat_row = np.array([self.coats.sum_of(c) if c else 0 for c in constant] or [0], np.int32)
+        bases = [_bases(m) for m in mats]
+        self._shares = {i: CoatShares(slot.coats, bases, scene) for i, slot in enumerate(self.slots) if any(slot.coats)}
+        self.coat_channels = 1 if all(x.grey for x in self._shares.values()) else 3
 
     @property
     def only_diffuse(self) -> bool:
@@ -177,30 +180,14 @@ class BsdfTable:
     @property
     def any_coat(self) -> bool:
         """Whether any material has a coat."""
-        return len(self.coats.mean) > 1
+        return bool(self._shares)
 
-    def coating(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> Mixture:
-        """Rows of `coats` at barycentrics of triangles."""
+    def coating(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> Coating:
+        """What lies over the bases at barycentrics of triangles."""
         material = self._material[triangle]
-        parts = [Mixture((self._coat_row[material],))]
-        for slot in self.slots:
-            if slot.coats:
-                shape = slot.roughness.at(material, triangle, u, v), slot.ior.at(material, triangle, u, v)
-                parts.append(slot.mixture(slot.coats, material, *shape))
-        if len(parts) == 1:
-            return parts[0]
-        rows, shares = [r for p in parts for r in p.rows], [np.ones(len(material), np.float32)] + [s for p in parts[1:] for s in p.shares]
-        return Mixture(tuple(rows), tuple(shares))
-
-    def coat_at(self, coating: Mixture, cosine: np.ndarray) -> np.ndarray:
-        """(n,) coat albedo at a cosine."""
-        found = self.coats.at(coating, False, cosine)
-        return np.minimum(found, MAX_COAT_SHARE) if coating.shares else found
-
-    def below_coat(self, coating: Mixture, out: np.ndarray, back: np.ndarray) -> np.ndarray:
-        """(n,) what coats leave for lobes below at the cosines (n,) of wo and wi, reciprocal (Ashikhmin et al. 2000)."""
-        leaves, enters = 1 - self.coat_at(coating, out), 1 - self.coat_at(coating, back)
-        return leaves * enters / (1 - self.coats.mean_at(coating))
+        return Coating(
+            tuple(Layer(i, self.slots[i].coat_rows(material, triangle, u, v), x.at(triangle, u, v)) for i, x in self._shares.items())
+        )
 
     def at(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, ns: np.ndarray, side: np.ndarray, wo: np.ndarray) -> Lobes:
         """Lobes at barycentrics of triangles with shading normals `ns` on the side of `wo`; `side` is +1 outside, -1 inside."""
@@ -213,7 +200,13 @@ class BsdfTable:
         return Lobes(wo, local, x, y, ns, diffuse, slots, side > 0, self.coating(triangle, u, v), self)
 
 
-_Grids = dict[int, tuple[Grid, float]]  # by material, and a factor on its shares
+def _bases(material: Material) -> list[tuple[int, Color]]:
+    """Stack and albedo of every lobe that a coat could lie over."""
+    below = (x for x in material.lobes if x.kind == LOBES[DIFFUSE].name or x.kind in LOBE_KINDS)
+    return [(x.stack, kind.as_diffuse(x)) for x in below if (kind := LOBES[LOBE_KINDS.get(x.kind, DIFFUSE)]).under_coat]
+
+
+_Grids = dict[int, Grid]  # by material
 
 
 class SlotFields:
@@ -224,23 +217,26 @@ class SlotFields:
         self.color = ColorField([x.color if x else Color() for x in lobes], scene)
         self.roughness = ScalarField([x.roughness if x else 1.0 for x in lobes], scene, 0.0, 1.0)
         self.ior = ScalarField([x.ior if x else 1.0 for x in lobes], scene, 1e-3, np.inf)
+        self.weight = ScalarField([x.weight if x else 0.0 for x in lobes], scene, 0.0, np.inf)
         # Light that bounces again between microfacets: a row where roughness and index are one, else a grid.
         self.many = np.array([x is not None and x.multiscatter for x in lobes], bool)
-        tinted = any(x is not None and x.tint is not None for x in lobes)
-        self.tint = ColorField([(x.tint or x.color) if x else Color() for x in lobes], scene) if tinted else None
+        self.coats = [x if x and LOBES[LOBE_KINDS[x.kind]].is_coat else None for x in lobes]
         self._table = table
         self._gain = np.zeros(len(lobes), np.int32)
         self._gains: _Grids = {}
-        self.coats: _Grids = {}
+        self._coat = np.zeros(len(lobes), np.int32)
+        self._coat_grids: _Grids = {}
         for m, lobe in enumerate(lobes):
             regains = self.many[m] and LOBES[self.kind[m]].regains
             if regains and not lobe.varies:
                 self._gain[m] = self.gain_row(m, constant_of(lobe.roughness), constant_of(lobe.ior))
             elif regains:
                 passes = LOBES[self.kind[m]].passes
-                self._gains[m] = Grid(table.gains, self.roughness.range(m), self.ior.range(m) if passes else None), 1.0
-            if lobe is not None and is_coat(lobe) and table.varies[m]:
-                self.coats[m] = Grid(table.coats, self.roughness.range(m), self.ior.range(m)), coat_of(lobe)[0]
+                self._gains[m] = Grid(table.gains, self.roughness.range(m), self.ior.range(m) if passes else None)
+            if self.coats[m] and lobe.varies:
+                self._coat_grids[m] = Grid(table.coats, self.roughness.range(m), self.ior.range(m))
+            elif self.coats[m]:
+                self._coat[m] = table.coats.row(constant_of(lobe.roughness), constant_of(lobe.ior))
 
     def gain_row(self, material: int, roughness: float, ior: float) -> int:
         """Row of the scene's gains for a lobe of one roughness and index."""
@@ -253,53 +249,51 @@ class SlotFields:
         ior = self.ior.at(material, triangle, u, v)
         gain = Mixture((self._gain[material],))
         if self._gains:
-            gain = self.mixture(self._gains, material, roughness, ior, gain.rows[0])
-        tint = None if self.tint is None else np.clip(self.tint.at(triangle, u, v), 0, 1)
-        return Slot(self.kind[material], self.color.at(triangle, u, v), roughness**2, ior, gain, self.many[material], tint)
+            gain = _mixture(self._gains, material, roughness, ior, gain.rows[0])
+        weight = self.weight.at(material, triangle, u, v)
+        color = self.color.at(triangle, u, v)
+        if self.color.varying:
+            color = np.clip(color, 0, 1)
+        return Slot(self.kind[material], color, weight, roughness**2, ior, gain, self.many[material])
 
-    def mixture(
-        self, grids: _Grids, material: np.ndarray, roughness: np.ndarray, ior: np.ndarray, rest: np.ndarray | None = None
-    ) -> Mixture:
-        """Rows at points of the materials of `grids`, with their shares; elsewhere the row `rest` (n,), or none."""
-        n = len(material)
-        rows, shares = np.zeros((4, n), np.int32), np.zeros((4, n), np.float32)
-        if rest is not None:
-            rows[0], shares[0] = rest, 1
-        for m, (grid, share) in grids.items():
-            which = np.flatnonzero(material == m)
-            mix = grid.mixture(roughness[which], ior[which])
-            shares[:, which] = 0
-            for k, (row, part) in enumerate(zip(mix.rows, mix.shares, strict=True)):
-                rows[k, which], shares[k, which] = row, part * np.float32(share)
-        return Mixture(tuple(rows), tuple(shares))
+    def coat_rows(self, material: np.ndarray, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> Mixture:
+        """Rows of the scene's coats at barycentrics of triangles of `material` (n,), 0 where there is none."""
+        row = self._coat[material]
+        if not self._coat_grids:
+            return Mixture((row,))
+        shape = self.roughness.at(material, triangle, u, v), self.ior.at(material, triangle, u, v)
+        return _mixture(self._coat_grids, material, *shape, row)
 
 
-def is_coat(lobe: Lobe) -> bool:
-    """Whether it lies over the others of its material."""
-    return LOBES[LOBE_KINDS[lobe.kind]].is_coat
-
-
-def coat_of(lobe: Lobe) -> tuple[float, float, float]:
-    """Tint, roughness and index of a coat; a textured tint counts as white."""
-    tint = float(np.mean(lobe.color.constant)) if lobe.color.is_constant else 1.0
-    return tint, constant_of(lobe.roughness), constant_of(lobe.ior)
+def _mixture(grids: _Grids, material: np.ndarray, roughness: np.ndarray, ior: np.ndarray, rest: np.ndarray) -> Mixture:
+    """Rows at points of the materials of `grids`, with their shares; elsewhere the row `rest` (n,)."""
+    n = len(material)
+    rows, shares = np.zeros((4, n), np.int32), np.zeros((4, n), np.float32)
+    rows[0], shares[0] = rest, 1
+    for m, grid in grids.items():
+        which = np.flatnonzero(material == m)
+        mix = grid.mixture(roughness[which], ior[which])
+        shares[:, which] = 0
+        for k, (row, part) in enumerate(zip(mix.rows, mix.shares, strict=True)):
+            rows[k, which], shares[k, which] = row, part
+    return Mixture(tuple(rows), tuple(shares))
 
 
 def white_lobe(number: int, alpha: float, ior: float, wo: np.ndarray, front: bool, table: BsdfTable) -> Lobes:
     """One white lobe of a kind, of single scattering, seen from `wo` (n, 3) in the frame of the axes, from outside or from inside."""
     n = len(wo)
     axes = (np.broadcast_to(np.eye(3, dtype=np.float32)[i], (n, 3)) for i in range(3))
-    shape = (np.full(n, x, np.float32) for x in (alpha, ior))
+    shape = (np.full(n, x, np.float32) for x in (1.0, alpha, ior))
     slot = Slot(np.full(n, number, np.int8), np.ones((n, 3), np.float32), *shape, Mixture.of(0, n), np.zeros(n, bool))
-    return Lobes(wo, wo, *axes, np.zeros((n, 3), np.float32), (slot,), np.full(n, front), Mixture.of(0, n), table)
+    coating = Coating((Layer(0, Mixture.of(0, n), np.ones((n, 1), np.float32)),)) if LOBES[number].is_coat else Coating()
+    return Lobes(wo, wo, *axes, np.zeros((n, 3), np.float32), (slot,), np.full(n, front), coating, table)
 
 
 def _below_coat(lobes: Lobes, cosine: np.ndarray) -> np.ndarray | None:
-    """(n,) what coats leave for lobes below; `cosine` (n,) of wi. None: no coats."""
-    table = lobes.table
-    if not table.any_coat:
+    """(n, 1) or (n, 3) what coats leave for lobes below; `cosine` (n,) of wi. None: no coats."""
+    if not lobes.coating.layers:
         return None
-    return table.below_coat(lobes.coating, lobes.local[:, 2], cosine)
+    return lobes.table.coats.leaves(lobes.coating, lobes.local[:, 2], cosine)
 
 
 def weights(lobes: Lobes) -> np.ndarray:
@@ -307,9 +301,9 @@ def weights(lobes: Lobes) -> np.ndarray:
     p = np.empty((1 + len(lobes.slots), len(lobes.wo)), np.float32)
     p[0] = lobes.diffuse.mean(axis=1)  # inline: see the head of this file
     for i, s in enumerate(lobes.slots):
-        p[i + 1] = np.where(s.kind > 0, s.color.mean(axis=1), 0)
+        p[i + 1] = np.where(s.kind > 0, s.weight * s.color.mean(axis=1), 0)
     for i, rows, albedo in lobes.albedos():
-        p[i + 1, rows] *= np.maximum(albedo, np.float32(0.02))
+        p[i + 1, rows] = lobes.slots[i].weight[rows] * np.maximum(albedo.mean(axis=1), LEAST_ALBEDO)
     return p / np.maximum(p.sum(axis=0), mf.TINY)
 
 
@@ -320,15 +314,15 @@ def evaluate(lobes: Lobes, wi: np.ndarray, p: np.ndarray | None = None) -> tuple
     # 1. The diffuse lobe, which most points have; inline (see the head of this file).
     up = np.maximum(w[:, 2], 0)
     below = _below_coat(lobes, up)
-    value = lambert(lobes.diffuse, up if below is None else up * below)
+    value = lambert(lobes.diffuse, up) if below is None else lobes.diffuse * (up[:, None] * below / mf.PI)
     pdf = p[0] * up / mf.PI
     # 2. The others, where they have a density.
     for i, kind, rows, seen in lobes.each(tuple(~s.delta for s in lobes.slots)):
         f, q = kind.evaluate(seen, w[rows])
         f *= gain_factor(kind, seen, w[rows], lobes.table.gains)
         if kind.under_coat and below is not None:
-            f *= below[rows, None]
-        value[rows] += f
+            f *= below[rows]
+        value[rows] += f * lobes.slots[i].weight[rows, None]
         pdf[rows] += p[i + 1, rows] * q
     return value.astype(np.float32), pdf.astype(np.float32)
 
@@ -378,7 +372,8 @@ def sample(lobes: Lobes, rng: np.random.Generator, uniform: np.ndarray | None = 
         drawn = kind.sample(seen, smooth, r[1:, rows])
         wi[rows], delta[rows], reflected[rows] = drawn.wi, smooth, kind.ray_kind
         found = smooth & drawn.wi.any(axis=1)
-        weight[rows] = np.where(found[:, None], drawn.share / np.maximum(p[i + 1, rows], mf.TINY)[:, None], 0)
+        share = drawn.share * lobes.slots[i].weight[rows, None]
+        weight[rows] = np.where(found[:, None], share / np.maximum(p[i + 1, rows], mf.TINY)[:, None], 0)
     # 3. Rough and diffuse: the whole BSDF over the whole density.
     world = lobes.to_world(wi)
     dense = np.flatnonzero(~delta & (np.abs(wi[:, 2]) > 0))

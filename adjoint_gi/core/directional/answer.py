@@ -105,8 +105,7 @@ class DirectionalAnswer:
             # A generator for each chunk, so that neither threads nor order change the result.
             direct, cast = self._direct_light(surface, lobes, self.scattering.shiny[element], np.random.default_rng([13, index]))
             rays += cast
-        coat = 1 - lobes.coat()
-        base = lobes.diffuse * (coat / np.float32(np.pi))[:, None]
+        base = lobes.diffuse * (1 - lobes.coat()) / np.float32(np.pi)
         seen = _Seen(points.receiver[on], side, a, b, self.caster.to_local(side, towards), base)
         sums = [
             sum_by_receiver(points.receiver, emitted),

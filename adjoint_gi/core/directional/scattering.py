@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from ..bsdf import table as bsdf
+from ..bsdf.coat import MAX_COAT_SHARE, Coating
 from ..bsdf.curves import Mixture, rounded
 from ..bsdf.lobes import LOBE_KINDS, LOBES
 from ..elements.elements import COLOR_GRID, Elements
@@ -49,7 +50,7 @@ class Basis(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One lobe of a material: color (m, 3) of its elements, and the matrices of `Basis.kernels`."""
+    """One lobe of a material: color (m, 3) of its elements, weight and all, and the matrices of `Basis.kernels`."""
 
     color: np.ndarray
     same: np.ndarray
@@ -58,13 +59,28 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class MaterialScattering:
-    """A material: its elements (m,), what its diffuse base reflects, albedo (m, 3) left right^T, and its other lobes."""
+    """A material: its elements (m,), what its diffuse base reflects, and its other lobes.
+
+    The base reflects albedo (m, 3) D D^T, where D = sum of `curves` (c, size) times `dims` (c, m, 1 or 3) is what its coats leave, by
+    direction; taken (m, 1) or (m, 3): over the mean of that, so that taken D^T of what arrives is what reaches the base.
+    """
 
     elements: np.ndarray
     albedo: np.ndarray
-    left: np.ndarray
-    right: np.ndarray
+    curves: np.ndarray
+    dims: np.ndarray
+    taken: np.ndarray
     parts: tuple[Part, ...]
+
+    def reaching(self, x: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
+        """(m, 2, 3) mean radiance that reaches the base of the elements `rows` where `x` (m, 2, size, 3) arrives."""
+        mean = sum(d[rows, None] * np.einsum("d,esdc->esc", c, x) for c, d in zip(self.curves, self.dims, strict=True))
+        return mean * self.taken[rows, None]
+
+    def sent(self, mean: np.ndarray, rows: slice) -> np.ndarray:
+        """(m, 2, size, 3) radiance of the bases that reach `mean` (m, 2, 3) of it, in the mean."""
+        out = mean * self.albedo[rows, None]
+        return sum(c[:, None] * (d[rows, None] * out)[:, :, None] for c, d in zip(self.curves, self.dims, strict=True))
 
 
 class Scattering:
@@ -92,17 +108,16 @@ class Scattering:
     def prepare(self) -> Iterator[float]:
         """Find the colours of the elements and the matrices of every material; yields the share done."""
         elements, table, basis = self.elements, self.table, self.basis
-        colors, tints, groups = _mean_surfaces(elements, table)
+        means, groups = _mean_surfaces(elements, table)
         cache: dict[tuple, list[tuple[np.ndarray, np.ndarray | None]]] = {}
-        flat = basis.constant()
         for done, group in enumerate(groups, 1):
             which = group.elements
             parts: list[Part] = []
             for slot, (kind, alpha, ior, gain, many) in enumerate(group.kinds):
-                color = colors[1 + slot][which]
-                if not kind:
+                color, weight = means.color[slot][which], means.weight[slot][which, None]
+                if not kind or not weight.any():
                     continue
-                shares = LOBES[kind].tints(alpha, many, color, tints[slot][which])
+                shares = [weight * x for x in LOBES[kind].tints(alpha, many, color)]
                 if not any(x.any() for x in shares):
                     continue
                 self.clear |= LOBES[kind].refracts and ior != 1
@@ -115,17 +130,28 @@ class Scattering:
                     kept = table.gains.kept(Mixture.of(gain, len(color)), LOBES[kind].mean(color))
                     shares += [share * kept for share in shares]
                 parts += [Part(share, *kernel) for share, kernel in zip(shares, cache[key], strict=True)]
-            left = right = flat
-            if group.coating.any():
-
-                def curve(cosine: np.ndarray, coating: Mixture = group.coating) -> np.ndarray:
-                    return 1 - table.coat_at(coating.take(np.zeros(len(cosine), int)), cosine.astype(np.float32))
-
-                left = basis.dimming(curve)
-                right = left / (1 - float(table.coats.mean_at(group.coating)[0]))
-            self.shiny[which] = bool(parts) or left is not flat
-            self.materials.append(MaterialScattering(which, colors[0][which], left, right * basis.unit, tuple(parts)))
+            curves, dims, taken = self._base(group, means)
+            self.shiny[which] = bool(parts) or len(curves) > 1
+            self.materials.append(MaterialScattering(which, means.diffuse[which], curves, dims, taken, tuple(parts)))
         yield 1.0
+
+    def _base(self, group: _Group, means: _Means) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`curves`, `dims` and `taken` of `MaterialScattering`."""
+        coats, m = self.table.coats, len(group.elements)
+        curves, dims, mean = [self.basis.constant()], [np.ones((m, 1))], np.zeros((m, 1))
+        for layer, share in zip(group.coating.layers, means.dims, strict=True):
+            dim = share[group.elements]
+            if not dim.any():
+                continue
+
+            def curve(cosine: np.ndarray, rows: Mixture = layer.rows) -> np.ndarray:
+                return coats.at(rows.take(np.zeros(len(cosine), int)), False, cosine.astype(np.float32))
+
+            curves.append(self.basis.dimming(curve))
+            dims.append(-dim)
+            mean = mean + dim * float(coats.mean_at(layer.rows)[0])
+        taken = self.basis.unit / (1 - np.minimum(mean, MAX_COAT_SHARE))
+        return np.stack(curves), np.stack(np.broadcast_arrays(*dims)), taken
 
     def apply(self, arriving: np.ndarray, diffuse: bool = True, first: int = 0) -> np.ndarray:
         """(2 m, size, 3) radiance that leaves the elements `first` to `first` + m where `arriving` (2 m, size, 3) arrives.
@@ -150,9 +176,7 @@ class Scattering:
             here = by_side[at]
             total = np.zeros_like(here)
             if diffuse:
-                left, right = (material.right, material.left) if transposed else (material.left, material.right)
-                mean = np.einsum("d,esdc->esc", right, here) * material.albedo[a:b, None]
-                total += left[:, None] * mean[:, :, None]
+                total += material.sent(material.reaching(here, slice(a, b)), slice(a, b))
             for part in material.parts:
                 color = part.color[a:b, None]
                 for side in (0, 1):
@@ -168,7 +192,7 @@ class Scattering:
         out = np.zeros((self.count, 2, 3))
         by_side = arriving.reshape(self.count, 2, self.size, 3)
         for material in self.materials:
-            out[material.elements] = np.pi * np.einsum("d,esdc->esc", material.right, by_side[material.elements])
+            out[material.elements] = np.pi * material.reaching(by_side[material.elements])
         return out.reshape(-1, 3)
 
 
@@ -180,10 +204,10 @@ def _product(kernel: np.ndarray, x: np.ndarray, transposed: bool) -> np.ndarray:
 
 
 def _kernels(
-    basis: Basis, kind: int, alpha: float, ior: float, gain: int, table: bsdf.BsdfTable, count: int, coating: Mixture | None
+    basis: Basis, kind: int, alpha: float, ior: float, gain: int, table: bsdf.BsdfTable, count: int, coating: Coating | None
 ) -> list:
     """One pair of matrices for each part of the lobe that has a colour of its own (`LobeKind.tints`). The same once more, where there
-    is a gain, for what bounces more than once between microfacets. `coating`: of one point, what lies over the lobe.
+    is a gain, for what bounces more than once between microfacets. `coating`: of one point, what lies over the lobe; grey here.
     """
     lobe = LOBES[kind]
     measure = np.array([1.0, ior * ior if lobe.refracts else 1.0])
@@ -192,7 +216,8 @@ def _kernels(
     back = front if lobe.two_sided else pairs(LOBE_KINDS[name], width, ior, False, table, count)
     if coating is not None:
         front, back = (
-            p.times(table.below_coat(coating.take(np.zeros(len(p.given), int)), p.given[:, 2], p.other[:, 2])) for p in (front, back)
+            p.times(table.coats.leaves(coating.take(np.zeros(len(p.given), int)), p.given[:, 2], p.other[:, 2]).mean(axis=1))
+            for p in (front, back)
         )
     shares = list(zip(*(lobe.factors(alpha, p.given, p.other) for p in (front, back)), strict=True))
     if gain:
@@ -207,30 +232,41 @@ class _Group:
 
     elements: np.ndarray
     kinds: list[tuple[int, float, float, int, bool]]
-    coating: Mixture
+    coating: Coating
 
 
-def _mean_surfaces(elements: Elements, table: bsdf.BsdfTable) -> tuple[list[np.ndarray], list[np.ndarray], list[_Group]]:
-    """Mean colour (ne, 3) float64 of the diffuse base and of every slot, mean tint of every slot, and the elements in groups that
-    scatter alike.
+@dataclass(frozen=True, eq=False)
+class _Means:
+    """Means over elements, float64: diffuse (ne, 3), albedo of the base; of every slot weight (ne,), and color (ne, 3), by the weight; of
+    every layer of coats dims (ne, 1 or 3), `coat.Layer.share`."""
+
+    diffuse: np.ndarray
+    weight: list[np.ndarray]
+    color: list[np.ndarray]
+    dims: list[np.ndarray]
+
+
+def _mean_surfaces(elements: Elements, table: bsdf.BsdfTable) -> tuple[_Means, list[_Group]]:
+    """The means, and the elements in groups that scatter alike.
 
     Where roughness or index vary over a material, an element has the mean of its points, rounded to the grid of `curves`.
     """
     scene = elements.world.scene
-    even = all(x.color.is_constant and not x.varies for m in scene.materials for x in m.lobes)
+    even = all(x.is_even for m in scene.materials for x in m.lobes)
     steps = [0.25] if even else (np.arange(COLOR_GRID) + 0.5) / COLOR_GRID
-    colors = [np.zeros((elements.count, 3)) for _ in range(1 + table.count)]
-    tints = [np.zeros((elements.count, 3)) for _ in range(table.count)]
+    diffuse, weight, color, dims = np.zeros((elements.count, 3)), [0.0] * table.count, [0.0] * table.count, {}
     shapes = np.zeros((elements.count, table.count, 2))
     index = np.arange(elements.count)
     for a in steps:
         for b in steps:
             surface = elements.world.surface(*elements.point(index, np.full(len(index), a), np.full(len(index), b)))
             lobes = table.at(surface.triangle, surface.u, surface.v, surface.ng, surface.side, surface.ng)
-            for total, color in zip(colors, (lobes.diffuse, *(s.color for s in lobes.slots)), strict=True):
-                total += color / len(steps) ** 2
+            diffuse += lobes.diffuse / len(steps) ** 2
+            for k, layer in enumerate(lobes.coating.layers):
+                dims[k] = dims.get(k, 0.0) + layer.share / len(steps) ** 2
             for k, slot in enumerate(lobes.slots):
-                tints[k] += (slot.color if slot.tint is None else slot.tint) / len(steps) ** 2
+                weight[k] = weight[k] + slot.weight.astype(float) / len(steps) ** 2
+                color[k] = color[k] + slot.color * slot.weight[:, None].astype(float) / len(steps) ** 2
                 shapes[:, k] += np.stack([np.sqrt(slot.alpha), slot.ior], axis=1) / len(steps) ** 2
     own = np.asarray(scene.material)[surface.triangle]
     groups = []
@@ -242,7 +278,8 @@ def _mean_surfaces(elements: Elements, table: bsdf.BsdfTable) -> tuple[list[np.n
             e = which[0]
             kinds = [(int(s.kind[e]), float(s.alpha[e]), float(s.ior[e]), int(s.gain.rows[0][e]), bool(s.many[e])) for s in lobes.slots]
             groups.append(_Group(which, kinds, lobes.coating.take(which[:1])))
-    return colors, tints, groups
+    color = [c / np.maximum(w, 1e-20)[:, None] for c, w in zip(color, weight, strict=True)]
+    return _Means(diffuse, weight, color, [dims[k] for k in sorted(dims)]), groups
 
 
 def _shaped(which: np.ndarray, material: int, shapes: np.ndarray, lobes: bsdf.Lobes, table: bsdf.BsdfTable) -> list[_Group]:

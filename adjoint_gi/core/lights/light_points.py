@@ -83,8 +83,8 @@ def phong_lobe(lobes: bsdf.Lobes, wi: np.ndarray) -> np.ndarray:
     mirrored = 2 * dot_rows(wi, lobes.z)[:, None] * lobes.z - wi
     cosine = np.maximum(dot_rows(mirrored, lobes.wo), 0)
     out = np.zeros((len(wi), 3), np.float32)
-    for _, kind, rows, seen in lobes.each(tuple(HIGHLIGHT[s.kind] for s in lobes.slots)):
+    for i, kind, rows, seen in lobes.each(tuple(HIGHLIGHT[s.kind] for s in lobes.slots)):
         power = exponent(np.sqrt(seen.alpha))
-        lobe = (power + 2) / np.float32(2 * np.pi) * cosine[rows] ** power
+        lobe = lobes.slots[i].weight[rows] * (power + 2) / np.float32(2 * np.pi) * cosine[rows] ** power
         out[rows] += kind.highlight_tint(seen) * lobe[:, None]
     return out

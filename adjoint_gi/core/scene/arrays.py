@@ -104,6 +104,7 @@ class Color:
 
 
 Scalar = float | Color  # a number that is the same everywhere, or a colour over the surface of which the first channel counts
+WHITE_AT_GRAZING = frozenset({"metallic"})  # kinds of lobes that reflect even where their colour is black
 
 
 def constant_of(x: Scalar) -> float:
@@ -113,13 +114,15 @@ def constant_of(x: Scalar) -> float:
 
 @dataclass(frozen=True)
 class Lobe:
-    """One term of a BSDF (or an emission) with its weight.
+    """One term of a BSDF (or an emission): `weight` times what a surface of `color` scatters (or emits).
 
-    kinds: diffuse, rough diffuse, emission; metallic, specular (a dielectric coat over the rest), glossy, glass, refraction,
-    transparent, and dielectric, which is what glass reflects without what it passes.
-    roughness (0 to 1) and ior may vary over the surface.
+    kinds: diffuse, rough diffuse, emission; metallic, specular (a dielectric coat), glossy, glass, refraction, transparent, and
+    dielectric, which is what glass reflects without what it passes.
+    color: of the surface itself, of which Fresnel's terms and what bounces again between microfacets are computed.
+    weight: the share that it has in a mix, from 0 to 1; one that varies is grey.
+    roughness (0 to 1) and ior may vary over the surface, too.
     multiscatter: light that bounces more than once between microfacets is kept (metallic, glossy, glass and rough diffuse).
-    tint: the surface's own colour, which absorbs at each of those bounces (rough diffuse), where `color` is a share of it in a mix.
+    stack: a coat lies over the diffuse and rough diffuse lobes of its own stack, whose weight it shares, and over no others.
     """
 
     kind: str
@@ -127,7 +130,24 @@ class Lobe:
     roughness: Scalar = 1.0
     ior: Scalar = 1.45
     multiscatter: bool = False
-    tint: Color | None = None
+    weight: Scalar = 1.0
+    stack: int = 0
+
+    @property
+    def share(self) -> Color:
+        """Its colour times its weight."""
+        return self.color * self.weight
+
+    @property
+    def is_black(self) -> bool:
+        """Whether it does nothing for certain: no weight, or no colour, with which a metal still reflects at grazing angles."""
+        weightless = self.weight.is_black if isinstance(self.weight, Color) else not self.weight
+        return weightless or (self.color.is_black and self.kind not in WHITE_AT_GRAZING)
+
+    @property
+    def is_even(self) -> bool:
+        """Whether it is the same everywhere."""
+        return self.share.is_constant and not self.varies
 
     @property
     def varies(self) -> bool:
@@ -143,11 +163,11 @@ class Material:
     lobes: tuple[Lobe, ...] = (Lobe("diffuse", Color.of(0.8)),)
 
     def total(self, *kinds: str) -> Color:
-        """The summed colour of the lobes of these kinds."""
+        """The summed colour of the lobes of these kinds, each times its weight."""
         out = Color()
         for lobe in self.lobes:
             if lobe.kind in kinds:
-                out = out + lobe.color
+                out = out + lobe.share
         return out
 
 

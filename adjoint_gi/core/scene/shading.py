@@ -48,7 +48,7 @@ class Shading:
         out = []
         for index in np.unique(self._material):
             material: Material = self.scene.materials[index]
-            other = sorted({x.kind for x in material.lobes if not x.color.is_black} - lobes - {"emission", "diffuse"})
+            other = sorted({x.kind for x in material.lobes if not x.is_black} - lobes - {"emission", "diffuse"})
             if other:
                 reason = f"{', '.join(other)} taken as diffuse by this method"
                 out.append(Notice(f"Material {material.name}", reason, "Choose a method that handles it, or accept the substitute"))

@@ -98,6 +98,6 @@ class Caustics:
             if met.segments < 2 or not len(met.row):
                 continue
             s = met.surface
-            power = flux[met.row] * met.weight * met.share[:, None]
+            power = flux[met.row] * met.weight * met.share
             found.append((met.segments, self.elements.side(s.triangle, s.u, s.v, s.side), power, met.clear & (not source.kind.sized)))
         return found, rays

@@ -29,7 +29,7 @@ def diffuse_rho(rays: ElementRays, chains: Chains) -> np.ndarray:
 class ExtendedTransport(Transport):
     """Chains drawn once from every side and kept; gathers.
 
-    `build` must have ended. weight (r, 3) float32, share (r,) of what leaves the target below its coat; rows are sorted by the
+    `build` must have ended. weight (r, 3) float32, share (r, 1) or (r, 3) of what leaves the target below its coat; rows are sorted by the
     segments of the chains, and those of s segments are `rows[s]`.
     """
 
@@ -73,10 +73,11 @@ class ExtendedTransport(Transport):
             self.rows.append(slice(first, first + many))
             first += many
         flat = [p for part in pieces for p in part]
-        empty = (np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32))
+        none, channels = np.zeros(0, np.int32), self.chains.table.coat_channels
+        empty = (none, none, np.zeros((0, 3), np.float32), np.zeros((0, channels), np.float32))
         self.source, self.target, self.weight, self.share = (np.concatenate([e, *(p[i] for p in flat)]) for i, e in enumerate(empty))
         self.weight /= np.float32(self.per_side)
-        self.below = self.weight * self.share[:, None] if self.chains.table.any_coat else self.weight
+        self.below = self.weight * self.share if self.chains.table.any_coat else self.weight
 
     def gather(self, x: np.ndarray) -> np.ndarray:
         """F_ext x for light x (n, 3) that surfaces reflect diffusely."""
@@ -123,7 +124,7 @@ class ExtendedShots(FreshRayTransport):
                 cast += len(met.row) + len(met.away)
                 s = met.surface
                 arrives = flux[met.row] * _colors(met.weight, columns)
-                taken = arrives * met.share[:, None]
+                taken = arrives * _colors(met.share, columns)
                 found.append((elements.side(s.triangle, s.u, s.v, s.side), taken))
                 other += (arrives - taken - flux[met.row] * _colors(met.sent, columns)).sum(axis=0)
                 escaped += (flux[met.away] * _colors(met.lost, columns)).sum(axis=0)
@@ -141,5 +142,5 @@ class ExtendedShots(FreshRayTransport):
 
 
 def _colors(weight: np.ndarray, columns: int) -> np.ndarray:
-    """Weights (m, 3) as float64 for radiosities of `columns` columns, which are colours over and over."""
-    return np.tile(weight.astype(np.float64), (1, columns // 3))
+    """Weights (m, 3), or grey ones (m, 1), as float64 for radiosities of `columns` columns, which are colours over and over."""
+    return np.tile(weight.astype(np.float64), (1, columns // weight.shape[1]))

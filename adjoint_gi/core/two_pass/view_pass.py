@@ -91,7 +91,7 @@ def below_coat(lobes: bsdf.Lobes, at: np.ndarray) -> np.ndarray:
     part = lobes.diffuse[at] / mf.PI
     if not lobes.table.any_coat:
         return part
-    return part * (1 - lobes.coat(at))[:, None]
+    return part * (1 - lobes.coat(at))
 
 
 def estimator(view: View) -> Estimate:

@@ -27,7 +27,7 @@ class Met:
 
     segments   flown so far
     row        (m,) which ray; surface: where, on the side it came from; weight (m, 3) float32 of what it carries
-    share      (m,) float32 of that which a coat lets through to the diffuse lobe, 1 where there is none
+    share      (m, 1) or (m, 3) float32 of that which coats let through to the diffuse lobe, 1 where there are none
     sent       (m, 3) float32 weight that goes on from there
     clear      (m,) bool: all lobes on the way were perfectly smooth
     away, lost (k,), (k, 3): rays that escape, and their weight
@@ -60,7 +60,7 @@ class Chains:
         self.table = bsdf.BsdfTable(world.scene, FIRST_PASS_LOBES)
         self.depth = depth
         self.rough = rough
-        shiny = [any(x.kind in SHINY and not x.color.is_black for x in m.lobes) for m in world.scene.materials]
+        shiny = [any(x.kind in SHINY and not x.is_black for x in m.lobes) for m in world.scene.materials]
         self.shiny = np.array(shiny or [False])[np.asarray(world.scene.material, np.int64)]
         self.any = bool(self.shiny.any())
         self.albedo_varies = bool(self.table.diffuse.varying)
@@ -70,12 +70,11 @@ class Chains:
         return np.clip(self.table.diffuse.at(triangle, u, v), np.float32(0), np.float32(1))
 
     def share(self, surface: Surface, wo: np.ndarray) -> np.ndarray:
-        """(n,) float32 what coats leave for the diffuse lobe of light that leaves towards, or comes from, `wo` (n, 3)."""
-        out = np.ones(len(wo), np.float32)
+        """(n, 1) or (n, 3) float32 what coats leave for the diffuse lobe of light that leaves towards, or comes from, `wo` (n, 3)."""
         if not self.table.any_coat:
-            return out
+            return np.ones((len(wo), 1), np.float32)
         coating = self.table.coating(surface.triangle, surface.u, surface.v)
-        return out - self.table.coat_at(coating, np.einsum("ij,ij->i", surface.ns, wo))
+        return 1 - self.table.coats.albedo(coating, np.einsum("ij,ij->i", surface.ns, wo))
 
     def follow(
         self, origin: np.ndarray, wi: np.ndarray, kind: np.uint8, rng: np.random.Generator, dark: np.ndarray | None = None
