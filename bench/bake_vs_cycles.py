@@ -3,7 +3,7 @@
 
     python bench/bake_vs_cycles.py --out out/bake        (a Python with bpy, numpy, embreex)
 
-Both get the same Blender scene, texels, bounces and processor threads, with neither denoiser nor clamping nor adaptive sampling.
+Both get the same Blender scene, texels, bounces and processor threads, without denoiser, clamping, Filter Glossy and adaptive sampling.
 Times are wall clock of everything between the scene in Blender and the finished texels: for Cycles the bake operator (it copies
 the scene, builds its BVH, bakes, fills the image); for ours extraction, Embree, the UV raster and the solve. Both are also given
 without this preparation: minus the time of one sample. Best of `--repeat`. The reference is a converged Cycles bake. Texels that the
@@ -126,7 +126,7 @@ def prepare_cycles(floor, resolution: int, threads: int):
     c = scene.cycles
     c.device, c.use_adaptive_sampling, c.use_denoising = "CPU", False, False
     c.max_bounces = c.diffuse_bounces = c.glossy_bounces = BOUNCES
-    c.sample_clamp_direct = c.sample_clamp_indirect = 0.0
+    c.sample_clamp_direct = c.sample_clamp_indirect = c.blur_glossy = 0.0
     scene.render.threads_mode, scene.render.threads = "FIXED", threads
     image = bpy.data.images.new("bake", resolution, resolution, alpha=False, float_buffer=True)
     tree = floor.data.materials[0].node_tree

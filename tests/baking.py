@@ -142,7 +142,7 @@ def use_cycles(scene: bpy.types.Scene, max_length: int) -> None:
     # Cycles counts bounces after the surface that is baked; its diffuse limit is 4 by default.
     for name in ("max_bounces", "diffuse_bounces", "glossy_bounces", "transmission_bounces"):
         setattr(c, name, max_length - 1)
-    c.sample_clamp_direct = c.sample_clamp_indirect = 0.0
+    c.sample_clamp_direct = c.sample_clamp_indirect = c.blur_glossy = 0.0
     c.light_sampling_threshold = 0.0
 
 

@@ -19,6 +19,7 @@ from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
 from adjgi.adjoint_gi.bridge.cli import compare as cli_compare
 from adjgi.adjoint_gi.bridge.cli import cornell as demo
 from adjgi.adjoint_gi.bridge.cli import main as cli
+from adjgi.adjoint_gi.bridge.comparison import cycles_reference
 from adjgi.adjoint_gi.bridge.comparison import job as compare_job
 from adjgi.adjoint_gi.bridge.comparison import records as compare_records
 from adjgi.adjoint_gi.bridge.comparison import request as compare
@@ -230,7 +231,7 @@ def test_a_closed_form_is_a_reference(registered):
 # ---- Cycles
 
 
-def test_a_cycles_bake_is_a_reference_and_leaves_the_scene_as_it_was(registered, box):
+def test_a_cycles_bake_is_a_reference_and_leaves_the_scene_as_it_was(registered, box, monkeypatch):
     floor = bpy.data.objects["Floor"]
     cell = bpy.data.objects["Left Wall"]
     for obj in (floor, cell):
@@ -238,6 +239,10 @@ def test_a_cycles_bake_is_a_reference_and_leaves_the_scene_as_it_was(registered,
     bpy.context.view_layer.objects.active = cell
     box.render.engine = "BLENDER_EEVEE_NEXT" if "BLENDER_EEVEE_NEXT" in _engines(box) else "BLENDER_EEVEE"
     box.cycles.max_bounces = 3
+    box.cycles.blur_glossy, box.cycles.sample_clamp_indirect = 0.7, 10.0
+    during, bake = set(), cycles_reference._bake
+    seen = ("blur_glossy", "sample_clamp_indirect", "light_sampling_threshold")
+    monkeypatch.setattr(cycles_reference, "_bake", lambda *a: (during.update(getattr(box.cycles, k) for k in seen), bake(*a))[1])
     tree = floor.data.materials[0].node_tree
     tree.nodes.active = tree.nodes[0]
     for node in tree.nodes:
@@ -258,6 +263,7 @@ def test_a_cycles_bake_is_a_reference_and_leaves_the_scene_as_it_was(registered,
     request = CompareRequest(("path_tracing", "local_illumination"), Budget("time", 2.0), ReferenceChoice.parse("cycles:128"), **options)
     made = Compare(bpy.context, request)
     assert everything() == before
+    assert during == {0.0}, "what loses light in Cycles is off while it bakes"
     result = made.driver.run()
     r, path = result.reference, result.entries[0]
     assert r.valid.mean() > 0.8 and 0.005 < r.noise < 0.2

@@ -34,6 +34,7 @@ LENGTH = 33  # segments; what is longer carries nothing that could be seen
 GOLD = (0.9, 0.6, 0.3, 1.0)
 GREY = (0.8, 0.8, 0.8, 1.0)
 WHITE = (1.0, 1.0, 1.0, 1.0)
+BLACK = (0.0, 0.0, 0.0, 1.0)
 GLOSSY, GLASS, REFRACTION, TRANSPARENT, DIFFUSE, PRINCIPLED = (
     f"ShaderNodeBsdf{x}" for x in ("Anisotropic", "Glass", "Refraction", "Transparent", "Diffuse", "Principled")
 )
@@ -64,6 +65,35 @@ def mixed():
     links.new(glossy.outputs[0], mix.inputs[2])
     links.new(mix.outputs[0], nodes["Material Output"].inputs["Surface"])
     return material
+
+
+def mix_of(factor, first, second):
+    """A maker of a Mix Shader of two materials of one shader each."""
+
+    def make():
+        material = first()
+        tree = material.node_tree
+        other, mix = copied(second(), tree), tree.nodes.new("ShaderNodeMixShader")
+        output = tree.nodes["Material Output"].inputs["Surface"]
+        mix.inputs[0].default_value = factor
+        tree.links.new(output.links[0].from_socket, mix.inputs[1])
+        tree.links.new(other.outputs[0], mix.inputs[2])
+        tree.links.new(mix.outputs[0], output)
+        return material
+
+    return make
+
+
+def copied(material, tree):
+    """The shader of a material of one node, with its values, in another tree."""
+    node = material.node_tree.nodes["Material Output"].inputs["Surface"].links[0].from_node
+    out = tree.nodes.new(node.bl_idname)
+    if hasattr(node, "distribution"):
+        out.distribution = node.distribution
+    for mine, its in zip(out.inputs, node.inputs, strict=True):
+        if hasattr(its, "default_value"):
+            mine.default_value = its.default_value
+    return out
 
 
 def rough_mixed():
@@ -100,6 +130,8 @@ SAME = {
     "principled glass, gold": shader(PRINCIPLED, Base_Color=GOLD, Transmission_Weight=1.0, Roughness=0.0, IOR=1.5),
     "principled glass, gold, 0.3": shader(PRINCIPLED, Base_Color=GOLD, Transmission_Weight=1.0, Roughness=0.3, IOR=1.5),
     "mix": mixed,
+    "half metal": mix_of(0.5, shader(DIFFUSE, Color=GOLD), shader(PRINCIPLED, Base_Color=GOLD, Metallic=1.0, Roughness=0.3)),
+    "half dark metal": mix_of(0.5, shader(DIFFUSE, Color=GOLD), shader(PRINCIPLED, Base_Color=BLACK, Metallic=1.0, Roughness=0.3)),
 }
 if bpy.app.version >= (4, 3, 0):  # Principled of 4.2 has no such input
     SAME["principled, rough diffuse 1"] = shader(PRINCIPLED, Base_Color=GOLD, Diffuse_Roughness=1.0, Specular_IOR_Level=0.0, Roughness=0.5)
@@ -114,6 +146,21 @@ OTHER = {
     "metallic 0.5 multiple": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Metallic=1.0, Roughness=0.5), 0.0),
     "dielectric 0.5": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Roughness=0.5, IOR=1.5), 0.001),
     "dielectric 0.1": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Roughness=0.1, IOR=1.45), 0.001),
+    "principled, metallic 0.5": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Metallic=0.5, Roughness=0.5), 0.0),
+    "principled, alpha 0.5": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Alpha=0.5, Roughness=0.5), 0.0),
+    "principled, transmission 0.5": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Transmission_Weight=0.5, Roughness=0.3), 0.0),
+    "principled, a tenth": (
+        mix_of(0.1, shader(DIFFUSE, Color=GREY), shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Roughness=0.5)),
+        0.0,
+    ),
+    "two principled": (
+        mix_of(
+            0.4,
+            shader(PRINCIPLED, "MULTI_GGX", Base_Color=(0.9, 0.1, 0.1, 1.0), Roughness=0.5),
+            shader(PRINCIPLED, "MULTI_GGX", Base_Color=(0.1, 0.2, 0.9, 1.0), Roughness=0.2, IOR=2.0),
+        ),
+        0.0,
+    ),
     "dielectric 0.5 tinted": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Roughness=0.5, Specular_Tint=GOLD), 0.013),
     "principled coat": (shader(PRINCIPLED, Base_Color=GOLD, Roughness=0.5, Coat_Weight=1.0), -0.015),
     "anisotropic 0.8": (shader(GLOSSY, Color=GOLD, Roughness=0.3, Anisotropy=0.8), 0.182),
