@@ -32,7 +32,7 @@ BUDGETS = (
 )
 REFERENCES = (
     ("method", "Method", "One method, run for long", 0),
-    ("cycles", "Cycles Bake", "Cycles bakes the same texels first, without clamping and Filter Glossy; Blender does not answer meanwhile", 1),
+    ("cycles", "Cycles Bake", "Cycles bakes the same texels first, without Filter Glossy; Blender does not answer meanwhile", 1),
     ("constant", "Closed Form", "One known value everywhere", 2),
     ("none", "None", "No errors, only fluxes and their agreement", 3),
 )
