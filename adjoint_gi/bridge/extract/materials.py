@@ -79,7 +79,7 @@ class Materials:
         emission = lobe.kind == "emission"
         top = LARGEST_EMISSION if emission else 1.0
         word = "emission" if emission else "albedo"
-        color, weight = self._safe_color(lobe.color, top, word), self._safe_color(Color.of(1.0) * lobe.weight, LARGEST_EMISSION, "weight")
+        color, weight = self._safe_color(lobe.color, top, word), self._safe_color(Color.of(1.0) * lobe.weight, LARGEST_EMISSION, "amount")
         roughness, ior = lobe.roughness if math.isfinite(lobe.roughness) else 1.0, lobe.ior if math.isfinite(lobe.ior) else 1.45
         return replace(lobe, color=color, weight=weight.constant[0] if weight.is_constant else weight, roughness=roughness, ior=ior)
 
