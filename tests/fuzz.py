@@ -62,7 +62,7 @@ def main() -> int:
     while first < end:
         first = watch(first, end, options, failed, skipped)
     if skipped:
-        print(f"Blender itself ended while it built seeds {skipped}")
+        print(f"Blender itself crashed or took too long while it built seeds {skipped}")
     for seed, why in sorted(failed.items()):
         print(f"FAILED seed {seed}: {why}")
     print(f"{len(failed)} seeds failed" if failed else "all seeds passed")
@@ -88,6 +88,9 @@ def watch(first: int, end: int, options: argparse.Namespace, failed: dict[int, s
             line = lines.get(timeout=limit)
         except queue.Empty:
             process.kill()
+            if not built:
+                skipped.append(seed)
+                return seed + 1
             failed[seed] = f"takes more than {options.seconds:g} s: {''.join(said[-3:])}"
             return seed + 1
         limit = options.seconds
