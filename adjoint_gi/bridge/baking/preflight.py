@@ -140,7 +140,7 @@ def inspect(world: World, request: BakeRequest) -> list[Notice]:
             notices.append(Notice("Scene", "has no mesh object with faces to bake", "Add one, or show one in renders", "error"))
     if not emits(world):
         notices.append(Notice("Scene", "nothing emits light; the result is black", "Add a light, an emitting material or a world colour"))
-    notices += openness.notices(world, set(receivers) if request.target != "render" else None)
+    notices += openness.notices(world, set(receivers))
     notices += world.shading.substitutions(request.solver.spec.lobes)
     notices += estimates(world, request, len(receivers))
     return ordered(notices)

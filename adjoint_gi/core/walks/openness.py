@@ -1,7 +1,8 @@
-"""Whether light leaves the scene, and whether it arrives at the backs of faces: a few thousand particles, followed before a bake.
+"""Whether light leaks out of a scene, and whether it arrives only at the backs of faces: a few thousand particles, followed before a bake.
 
-A bake shows the fronts of faces. Where much of an object's light arrives at backs, its normals point the wrong way, or it is an open
-sheet lit from behind; the share is reported. Light that leaves a nearly closed scene is a leak.
+A bake shows the fronts of faces, so faces that are lit from the back only come out black: their normals point the wrong way, or nothing
+lights the side that is baked. A sheet that is lit from both sides loses nothing. Most scenes are open, and nothing is at stake there;
+light that leaves a nearly closed scene is a leak.
 """
 
 from __future__ import annotations
@@ -18,57 +19,76 @@ from .particles import Hits, walk
 PARTICLES = 8192
 LENGTH = 8  # segments a particle is followed
 LEAK = 0.03  # a scene that less than this share of the reflected particles leaves is meant to be closed
-BACK = 0.01  # share of arrivals at backs from which on it is worth a warning
+ENOUGH = (
+    8  # arrivals at a triangle from which on they tell its dark side: at a sheet lit from both sides all of 8 are at one by chance 1 in 128
+)
+DARK = 0.9  # share of arrivals at the back from which on the front counts as dark
+STAKE = 0.05  # share of the arrivals at an object that faces with a dark front must have
 MIN_ARRIVALS = 50  # arrivals at an object from which on its share means something
 
 
 @dataclass(frozen=True, eq=False)
 class Openness:
     """escaped   share of the particles that met a surface and left the scene afterwards
-    back      (number of objects,) float64, share of the arrivals at each object that are at its back
+    lost      (number of objects,) float64, share of the arrivals at each object that are at faces lit from the back only
     arrivals  (number of objects,) int64
     """
 
     escaped: float
-    back: np.ndarray
+    lost: np.ndarray
     arrivals: np.ndarray
 
 
 def measure(world: World, particles: int = PARTICLES) -> Openness:
     """Follow `particles` particles of all lights; nothing arrives where nothing emits."""
-    objects = len(world.scene.objects)
-    arrivals, back = np.zeros(objects, np.int64), np.zeros(objects)
     emission = Emission(world)
+    sides = np.zeros((2, world.triangle_count), np.int64)  # arrivals at the front and at the back of each triangle
     if emission.is_dark or world.triangle_count == 0:
-        return Openness(0.0, back, arrivals)
+        return Openness(0.0, *_lost(world, sides))
     rng = np.random.default_rng(0)
     met = 0
 
     def visit(hits: Hits) -> None:
-        nonlocal arrivals, back, met
+        nonlocal met
         surface = hits.surface
-        owner = world.scene.object[surface.triangle]
-        met += len(owner) if hits.length == 1 else 0
-        arrivals = arrivals + np.bincount(owner, minlength=objects)
-        back = back + np.bincount(owner, surface.side < 0, minlength=objects)
+        met += len(surface.triangle) if hits.length == 1 else 0
+        np.add.at(sides, ((surface.side < 0).astype(np.int8), surface.triangle), 1)
 
     ends = walk(world, emission.draw(particles, rng), LENGTH, rng, visit)
     left = ends.escaped - (ends.emitted - met)
-    return Openness(left / max(1, met), back / np.maximum(arrivals, 1), arrivals)
+    return Openness(left / max(1, met), *_lost(world, sides))
 
 
-def notices(world: World, wanted: set[int] | None = None, particles: int = PARTICLES) -> list[Notice]:
-    """What `measure` finds, in words. Backs are reported of the objects `wanted` (indices), by default of all."""
+def _lost(world: World, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Share of arrivals at dark fronts and arrivals of each object, from those at both sides (2, nt) of all triangles.
+
+    Where the triangles of an object are too small to have arrivals enough each, it counts as one.
+    """
+    owner, objects = world.scene.object, len(world.scene.objects)
+
+    def of_objects(counts: np.ndarray) -> np.ndarray:
+        return np.bincount(owner, counts, objects)
+
+    total = sides.sum(axis=0)
+    arrivals = of_objects(total)
+    told = total >= ENOUGH
+    known = of_objects(total * told)
+    dark = of_objects(total * (told & (sides[1] >= DARK * total)))
+    back = of_objects(sides[1])
+    whole = np.where(back >= DARK * arrivals, back / np.maximum(arrivals, 1), 0.0)
+    return np.where(known >= MIN_ARRIVALS, dark / np.maximum(known, 1), whole), arrivals.astype(np.int64)
+
+
+def notices(world: World, baked: set[int], particles: int = PARTICLES) -> list[Notice]:
+    """What `measure` finds, in words: leaks, and of the objects `baked` (indices) those whose baked side is dark."""
     found = measure(world, particles)
     out = []
     if 0 < found.escaped < LEAK:
         reason = f"{100 * found.escaped:.2g} % of the light leaves the scene, which is nearly closed: it leaks through gaps"
         out.append(Notice("Scene", reason, "Close the gaps, or see the escaped flux in the report"))
-    elif found.escaped >= LEAK:
-        out.append(Notice("Scene", f"is open: {100 * found.escaped:.0f} % of the light leaves it after a reflection", "", "info"))
-    for index in np.flatnonzero((found.back > BACK) & (found.arrivals >= MIN_ARRIVALS)):
-        if wanted is None or index in wanted:
-            reason = f"{100 * found.back[index]:.0f} % of the light that reaches it arrives at the back of its faces"
-            remedy = "Recalculate its normals, unless it is an open sheet; only fronts are baked"
-            out.append(Notice(world.scene.objects[index].name, reason, remedy))
+    for index in np.flatnonzero((found.lost > STAKE) & (found.arrivals >= MIN_ARRIVALS)):
+        if index in baked:
+            which = "all of its faces are" if found.lost[index] > DARK else "some of its faces are"
+            reason = f"{which} lit from the back only, and only fronts are baked: they come out black"
+            out.append(Notice(world.scene.objects[index].name, reason, "Recalculate its normals, or turn the faces round"))
     return out
