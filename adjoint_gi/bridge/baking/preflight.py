@@ -22,7 +22,7 @@ from ...core.walks import openness
 from ..extract.camera import NO_PICTURE, render_size
 from ..extract.depsgraph import extract
 from ..host import files
-from ..host.notices import Notices
+from ..host.notices import Notices, listed
 from ..props.request import RECEIVERS, BakeRequest
 from ..results import links as targets
 from ..results import stored
@@ -135,7 +135,7 @@ def inspect(world: World, request: BakeRequest) -> list[Notice]:
     else:
         notices = refusals(notices, [n for n in request.objects if n not in {arrays.objects[i].source for i in receivers}])
         if not request.objects:
-            notices += _meshless(arrays)
+            notices += _meshless(arrays) + _instances(arrays)
         if not receivers and not request.objects and not any(n.severity == "error" for n in notices):
             notices.append(Notice("Scene", "has no mesh object with faces to bake", "Add one, or show one in renders", "error"))
     if not emits(world):
@@ -262,6 +262,17 @@ def _meshless(arrays: SceneArrays) -> list[Notice]:
     found = [(o.source, kinds.get(o.uid, "MESH")) for o in arrays.objects if not o.instance]
     reason = "takes part in the light, but has no mesh to bake to"
     return [Notice(name, f"is a {kind.lower()}, which {reason}", "Convert it to a mesh", "info") for name, kind in found if kind != "MESH"]
+
+
+def _instances(arrays: SceneArrays) -> list[Notice]:
+    """Instances, which are in the light but not baked, with their number, by what makes them."""
+    made: dict[str, list[str]] = {}
+    for o in arrays.objects:
+        if o.instance:
+            made.setdefault(o.maker, []).append(o.source)
+    reason = "makes {} instance{} of {}, in the light but not baked"
+    texts = {maker: reason.format(len(of), "s" * (len(of) > 1), listed(list(dict.fromkeys(of)))) for maker, of in made.items()}
+    return [Notice(maker, text, "To bake them, use Object > Apply > Make Instances Real", "info") for maker, text in texts.items()]
 
 
 def _texture_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]:

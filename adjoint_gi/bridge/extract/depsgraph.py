@@ -11,6 +11,7 @@ from ..host.notices import Notices
 from ..host.versions import working_space_notice
 from ..results.show import unhidden
 from .camera import read_camera
+from .cycles_settings import name_scene_settings
 from .instances import InstanceWalk, place
 from .lights import read_lights
 from .materials import Materials
@@ -36,7 +37,7 @@ def _extract(depsgraph: bpy.types.Depsgraph, scene: bpy.types.Scene, resolution:
 
     # Step 1: copy meshes, materials and lamps while walking over the instances (temporary objects die after the walk).
     materials = Materials(depsgraph, notices)
-    walk = InstanceWalk(materials.index_of, notices)
+    walk = InstanceWalk(materials.index_of, materials.bodiless, notices)
     walk.run(depsgraph)
 
     # Step 2: bring every instance to world space.
@@ -46,6 +47,7 @@ def _extract(depsgraph: bpy.types.Depsgraph, scene: bpy.types.Scene, resolution:
         name(placed.objects, placed.object, placed.material, materials.result(), notices)
 
     # Step 3: what is not geometry.
+    name_scene_settings(scene.original, depsgraph.view_layer, notices)
     lights = read_lights(walk.lights, notices)
     background = read_world(depsgraph.view_layer.world_override or scene.world, materials.colors, notices)
     camera = read_camera(scene, depsgraph, resolution, notices)

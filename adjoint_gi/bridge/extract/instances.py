@@ -5,7 +5,8 @@ Curves, texts, surfaces and metaballs need no conversion: the depsgraph lists th
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Set
 from dataclasses import dataclass, field
 
 import bpy
@@ -15,6 +16,7 @@ from ...core.scene.arrays import ObjectArrays
 from ..host.notices import Notices
 from ..results import links as targets
 from ..results.preview import own_material
+from .cycles_settings import name_bounces, name_object_settings
 from .mesh import LARGEST_COORDINATE, MeshArrays, read_mesh
 from .nodes import attributes_read
 from .unsupported import name_rays, name_viewport
@@ -32,6 +34,7 @@ class Group:
     materials: np.ndarray  # (ns,) int32: scene material of each slot, at least one
     names: list[str] = field(default_factory=list)
     sources: list[str] = field(default_factory=list)
+    makers: list[str] = field(default_factory=list)
     uids: list[int] = field(default_factory=list)
     instances: list[tuple[int, ...]] = field(default_factory=list)
     matrices: list[tuple[float, ...]] = field(default_factory=list)
@@ -47,16 +50,21 @@ class LightInstance:
 
 
 class InstanceWalk:
-    """One pass over the instances of a depsgraph. `material_of` gives the index of a material, or of the default for None."""
+    """One pass over the instances of a depsgraph.
 
-    def __init__(self, material_of: Callable[[bpy.types.Material | None], int], notices: Notices) -> None:
+    `material_of` gives the index of a material, or of the default for None; faces with one of `bodiless`, filled by it, are no surface.
+    """
+
+    def __init__(self, material_of: Callable[[bpy.types.Material | None], int], bodiless: Set[int], notices: Notices) -> None:
         self._material_of = material_of
+        self._bodiless = bodiless
         self._notices = notices
         self._numbers = attributes_read()
         self._meshes: dict[int, MeshArrays | None] = {}
         self._groups: dict[tuple[int, bool, bytes], Group] = {}
         self._group_of: dict[tuple[int, int, bool], Group | None] = {}
-        self._curves: dict[str, str] = {}
+        self._faceless: dict[str, tuple[str, str]] = {}  # reason and remedy, for objects without faces of their own
+        self._makers: Counter[str] = Counter()  # how many instances with faces each object makes
         self._names: set[str] = set()
         self.lights: list[LightInstance] = []
 
@@ -79,7 +87,7 @@ class InstanceWalk:
                 self._describe(original, depsgraph)
             kind = obj.type
             if kind in BECOMES_MESH:
-                self._curves[original.name] = kind
+                self._faceless[original.name] = ("gives no faces and is left out", "Give it a bevel or an extrusion")
             if kind == "MESH":
                 self._visit_mesh(inst, obj, original)
             elif kind == "LIGHT":
@@ -87,24 +95,42 @@ class InstanceWalk:
             elif original.is_missing:
                 self._notices.add(original.name, *targets.missing(original))
             elif kind not in FACELESS and kind not in BECOMES_MESH and not (kind == "EMPTY" and original.is_instancer):
-                self._notices.add(
-                    original.name, f"is of type {_words(kind)}, which has no faces, and is left out", "Convert it to a mesh", "info"
-                )
+                self._faceless[original.name] = (f"is of type {_words(kind)}, which has no faces, and is left out", "")
         visibility.name_missing(depsgraph)
+        self._name_faceless()
+
+    def _name_faceless(self) -> None:
+        """Name objects without faces, by what is in the light of them."""
         made = {s for g in self.groups for s in g.sources}
         families = {s.split(".")[0] for s in made}
-        for name, kind in self._curves.items():
+        for name, (reason, remedy) in self._faceless.items():
             # Metaballs of one name form one surface, which the first of them owns.
-            if name not in made and not (kind == "META" and name.split(".")[0] in families):
-                self._notices.add(name, "gives no faces and is left out", "Give it a bevel or an extrusion", "info")
+            meta = name in bpy.data.objects and bpy.data.objects[name].type == "META"
+            if name in made or (meta and name.split(".")[0] in families):
+                continue
+            count = self._makers[name]
+            if count:
+                reason, remedy = f"has no faces of its own; what it makes ({count} instance{'s' * (count > 1)}) is in the light", ""
+            self._notices.add(name, reason, remedy, "info")
 
     def _describe(self, original: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> None:
         """Name what Cycles does with an object that counts, and is not done here."""
         if original.type != "MESH" and original.type != "LIGHT" and original.type not in BECOMES_MESH:
             return
         name_rays(original, self._notices)
+        if original.type == "LIGHT":
+            name_bounces(original.data, original.name, self._notices)
+        else:
+            name_object_settings(original, self._notices)
+            self._hair(original)
         if depsgraph.mode == "VIEWPORT":
             name_viewport(original, depsgraph.scene, self._notices)
+
+    def _hair(self, original: bpy.types.Object) -> None:
+        """Name the hair of particle systems, which has no faces."""
+        for system in original.particle_systems:
+            if system.settings.type == "HAIR" and system.settings.render_type == "PATH":
+                self._notices.add(original.name, f'has hair ("{system.name}"), which is not in the light', "")
 
     def _visit_mesh(self, inst: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, original: bpy.types.Object) -> None:
         matrix = [x for row in inst.matrix_world for x in row]
@@ -117,6 +143,9 @@ class InstanceWalk:
         group = self._group(obj, original, determinant < 0.0, source)
         if group is None:
             return
+        maker = inst.parent.original.name if ids and inst.parent else ""
+        self._makers[maker] += 1
+        group.makers.append(maker)
         group.names.append(name)
         group.sources.append(source)
         group.uids.append(original.session_uid)
@@ -172,11 +201,25 @@ class InstanceWalk:
         slots = self._slots(obj, mesh)
         key = (pointer, mirrored, slots.tobytes())
         if key not in self._groups:
-            self._groups[key] = Group(self._mirrored(pointer, arrays) if mirrored else arrays, slots)
+            solid = self._solid(self._mirrored(pointer, arrays) if mirrored else arrays, slots)
+            if solid is None:
+                self._notices.add(name, "has volumes only, no surface, and is left out: light passes through it", "", "info")
+                return None
+            self._groups[key] = Group(solid, slots)
         return self._groups[key]
+
+    def _solid(self, arrays: MeshArrays, slots: np.ndarray) -> MeshArrays | None:
+        """The mesh without the faces of materials that are no surface; None when nothing is left."""
+        if not self._bodiless.intersection(slots.tolist()):
+            return arrays
+        keep = ~np.isin(slots[np.clip(arrays.slot, 0, len(slots) - 1)], list(self._bodiless))
+        return arrays.taken(keep) if keep.any() else None
 
     def _read(self, obj: bpy.types.Object, mesh: bpy.types.Mesh, name: str) -> MeshArrays | None:
         """Copy a mesh. In edit mode its layers cannot be read (their length is 0), but those of a temporary copy can."""
+        if not mesh.polygons and not mesh.is_editmode:
+            self._faceless[name] = ("has no faces and is left out", "")
+            return None
         if not mesh.is_editmode:
             return read_mesh(mesh, name, self._notices, self._numbers)
         try:
@@ -284,6 +327,7 @@ def _objects(group: Group, kept: np.ndarray, first_triangle: int, first_vertex: 
         ObjectArrays(
             name=group.names[i],
             source=group.sources[i],
+            maker=group.makers[i],
             uid=group.uids[i],
             instance=group.instances[i],
             first_triangle=first_triangle + j * nt,

@@ -31,6 +31,7 @@ class Materials:
         self._notices = notices
         self._index: dict[int, int] = {}
         self._materials: list[Material] = []
+        self.bodiless: set[int] = set()  # indices of materials that have a volume and no surface: light passes through their faces
         self.images = Images(notices, depsgraph.scene_eval.frame_current)
         self.colors = Colors(self.images, notices)
 
@@ -39,9 +40,10 @@ class Materials:
         material = self._override or material
         key = 0 if material is None else material.original.as_pointer()
         if key not in self._index:
-            made = Material(DEFAULT) if material is None else self._read(material.evaluated_get(self._depsgraph))
-            self._index[key] = len(self._materials)
-            self._materials.append(made)
+            index = self._index[key] = len(self._materials)
+            self._materials.append(Material(DEFAULT))
+            if material is not None:
+                self._materials[index] = self._read(material.evaluated_get(self._depsgraph), index)
         return self._index[key]
 
     def result(self) -> tuple[Material, ...]:
@@ -52,7 +54,7 @@ class Materials:
         """All textures that the materials refer to."""
         return tuple(self.images.textures)
 
-    def _read(self, material: bpy.types.Material) -> Material:
+    def _read(self, material: bpy.types.Material, index: int = 0) -> Material:
         self.colors.owner = f'Material "{material.name}"'
         if not uses_nodes(material):
             return Material(material.name, (self._safe(Lobe("diffuse", Color.of(*material.diffuse_color[:3]))),))
@@ -60,19 +62,29 @@ class Materials:
         if place is None:
             self._tell("has no output node for Cycles; it is black, as there", "Add a Material Output whose target is All")
             return Material(material.name, ())
-        self._leftovers(place)
+        if self._leftovers(place):
+            self.bodiless.add(index)
+            return Material(material.name, ())
         lobes = merged(Shaders(self.colors).lobes(place, Color.of(1.0)))
+        if not getattr(material, "use_transparent_shadow", True) and any(lobe.kind == "transparent" for lobe in lobes):
+            self._tell(
+                "has Transparent Shadows turned off in Cycles, which is not followed: light passes through it", "Turn them on to compare"
+            )
         return Material(material.name, self._bounded([self._safe(lobe) for lobe in lobes]))
 
     def _tell(self, reason: str, remedy: str) -> None:
         self._notices.add(self.colors.owner, reason, remedy)
 
-    def _leftovers(self, place: Place) -> None:
-        """Volume and displacement are left out and named."""
-        for name in ("Volume", "Displacement"):
-            socket = place.sibling(name)
-            if socket is not None and is_linked(socket):
-                self._tell(f"has a {name.lower()} shader, which is left out", "Apply displacement by a modifier")
+    def _leftovers(self, place: Place) -> bool:
+        """Name volume and displacement, which are not computed; returns whether there is a volume and no surface."""
+        has = {name for name in ("Volume", "Displacement") if (socket := place.sibling(name)) is not None and is_linked(socket)}
+        if "Displacement" in has:
+            self._tell("has displacement, which is not computed: the mesh is taken as it is", "Use a Displace modifier")
+        if "Volume" in has and is_linked(place):
+            self._tell("has a volume, which is not computed: light passes inside it as through air", "")
+        elif "Volume" in has:
+            self._tell("has a volume and no surface: light passes through as if it were not there, without mist or smoke", "")
+        return "Volume" in has and not is_linked(place)
 
     def _safe(self, lobe: Lobe) -> Lobe:
         """The lobe with numbers that can be computed with: albedo 0 to 1, emission 0 to a large bound, no NaN."""

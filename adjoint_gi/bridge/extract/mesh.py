@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -51,6 +51,14 @@ class MeshArrays:
     render_color: str
     corner_count: int
     polygon_count: int
+
+    def taken(self, keep: np.ndarray) -> MeshArrays:
+        """The same mesh with only the triangles `keep` (nt,) bool."""
+        per_triangle = {
+            name: getattr(self, name)[keep] for name in ("triangles", "corners", "polygon", "normals", "smooth", "slot", "selected")
+        }
+        layers = {name: {k: a[keep] for k, a in getattr(self, name).items()} for name in ("uvs", "colors")}
+        return replace(self, **per_triangle, **layers)
 
     def mirrored(self) -> MeshArrays:
         """The same mesh with the second and third corner of each triangle exchanged, for matrices of negative determinant."""

@@ -10,6 +10,7 @@ from ..host.notices import Notices
 from ..host.versions import uses_nodes
 from .color_math import NotPolynomial, mean
 from .colors import Colors
+from .cycles_settings import name_bounces
 from .nodes import is_linked
 from .shaders import Shaders, surface
 from .unsupported import name_world_rays
@@ -24,6 +25,7 @@ def read_world(world: bpy.types.World | None, colors: Colors, notices: Notices) 
     name = f'World "{world.name}"'
     radiance = _radiance(world, name, colors, notices)
     if any(radiance):
+        name_bounces(world.original, name, notices)
         name_world_rays(world.original, name, notices)  # a change of these switches need not reach the evaluated copy (4.2)
     return radiance
 
@@ -39,7 +41,7 @@ def _radiance(world: bpy.types.World, name: str, colors: Colors, notices: Notice
         return (0.0, 0.0, 0.0)
     volume = place.sibling("Volume")
     if volume is not None and is_linked(volume):
-        notices.add(name, "has a volume, which is left out", "Remove it")
+        notices.add(name, "has a volume, which is not computed: the air is clear", "")
     total = np.zeros(3)
     for lobe in Shaders(colors).lobes(place, Color.of(1.0)):
         if lobe.kind != "emission":

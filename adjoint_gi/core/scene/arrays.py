@@ -246,6 +246,7 @@ class ObjectArrays:
     source: str  # the Blender object that owns the mesh
     uid: int = 0  # its session_uid
     instance: tuple[int, ...] = ()  # empty for the object itself
+    maker: str = ""  # the object that makes the instance
     first_triangle: int = 0
     triangle_count: int = 0
     first_vertex: int = 0
