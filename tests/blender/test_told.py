@@ -207,7 +207,7 @@ def test_flags_that_messages_name_exist():
 
 def test_buttons_that_messages_name_exist(registered):
     """Whatever is to be pressed has an operator of that label."""
-    labels = {getattr(bpy.types, name).bl_rna.name for name in dir(bpy.types) if name.startswith("ADJOINTGI_OT")}
+    labels = {getattr(bpy.ops.adjoint_gi, name).get_rna_type().name for name in dir(bpy.ops.adjoint_gi)}
     named = re.findall(r"[Pp]ress ((?:[A-Z][a-z]+ ?)+)", texts())
     assert named
     for text in named:

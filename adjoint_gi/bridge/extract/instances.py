@@ -130,7 +130,7 @@ class InstanceWalk:
         """Name the hair of particle systems, which has no faces."""
         for system in original.particle_systems:
             if system.settings.type == "HAIR" and system.settings.render_type == "PATH":
-                self._notices.add(original.name, f'has hair ("{system.name}"), which is not in the light', "")
+                self._notices.add(original.name, f'has hair ("{system.name}"), which is not in the light', "", "info")
 
     def _visit_mesh(self, inst: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, original: bpy.types.Object) -> None:
         matrix = [x for row in inst.matrix_world for x in row]

@@ -57,7 +57,12 @@ def holder(obj: bpy.types.Object) -> bpy.types.Object | None:
     """The hidden object whose vertices are the UVs of `obj`; None where it is lost."""
     modifier = carrier(obj)
     found = modifier_input(modifier, "UVs") if modifier is not None else None
-    return found if isinstance(found, bpy.types.Object) and found.type == "MESH" and stored.read(found, HOLDER) else None
+    return found if isinstance(found, bpy.types.Object) and _is_holder(found) else None
+
+
+def _is_holder(obj: bpy.types.Object) -> bool:
+    """Whether a bake has made `obj` to hold UVs, whatever a damaged file says: it is of vertices only."""
+    return obj.type == "MESH" and not obj.data.polygons and stored.read(obj, HOLDER) is not None
 
 
 def belongs_to(obj: bpy.types.Object) -> bool:
@@ -137,7 +142,7 @@ def drop(obj: bpy.types.Object) -> bool:
 def drop_orphans() -> None:
     """Remove hidden objects, and the node group, that nothing needs any more because objects or modifiers were deleted."""
     needed = {holder(o) for o in bpy.data.objects if o.type == "MESH"}
-    for obj in [o for o in bpy.data.objects if stored.read(o, HOLDER) and o not in needed]:
+    for obj in [o for o in bpy.data.objects if _is_holder(o) and o not in needed]:
         _remove(obj)
     for tree in [t for t in bpy.data.node_groups if stored.read(t, TREE) == KIND and t.users == 0]:
         bpy.data.node_groups.remove(tree)

@@ -246,7 +246,6 @@ class ObjectArrays:
     source: str  # the Blender object that owns the mesh
     uid: int = 0  # its session_uid
     instance: tuple[int, ...] = ()  # empty for the object itself
-    maker: str = ""  # the object that makes the instance
     first_triangle: int = 0
     triangle_count: int = 0
     first_vertex: int = 0
@@ -257,6 +256,7 @@ class ObjectArrays:
     render_uv: str = ""
     colors: dict[str, np.ndarray] = field(default_factory=dict)
     selected: np.ndarray | None = None
+    maker: str = ""  # the object that makes the instance
 
     @property
     def triangles(self) -> slice:
