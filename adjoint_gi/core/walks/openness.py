@@ -52,7 +52,8 @@ def measure(world: World, particles: int = PARTICLES) -> Openness:
         nonlocal met
         surface = hits.surface
         met += len(surface.triangle) if hits.length == 1 else 0
-        np.add.at(sides, ((surface.side < 0).astype(np.int8), surface.triangle), 1)
+        for k, of_side in enumerate((surface.side > 0, surface.side < 0)):
+            sides[k] += np.bincount(surface.triangle[of_side], minlength=world.triangle_count)
 
     ends = walk(world, emission.draw(particles, rng), LENGTH, rng, visit)
     left = ends.escaped - (ends.emitted - met)
