@@ -25,6 +25,7 @@ from adjgi.adjoint_gi.core.lights.sun import SunLights
 from adjgi.adjoint_gi.core.sampling import maps
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, RayKind, Source, Term, Texture
 from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.adjoint_gi.core.walks.particles import walk
 
 # Standard deviations that sound lights exceed once in a thousand runs of the about 400 comparisons here (Sidak).
 Z = 4.8
@@ -213,6 +214,41 @@ def test_gathering_and_shooting_put_the_same_light_on_a_plane(name):
         lands = (d[:, 2] < 0) & (t > q.dark) & (np.abs(x) < 1) & (np.abs(y) < 1)
         shot.append(by_cell(x[lands], y[lands], q.weight[lands].T).sum(axis=-1))
     agree(gathered, statistics(np.stack(shot, axis=-1)), name)
+
+
+def surroundings(kind, options):
+    """A world with black sheets below, within and across a lamp of radius 0.5."""
+    b = SceneBuilder()
+    black = diffuse("Black", 0.0)
+    b.quad("Floor", (-0.6, -0.5, 0), (1, 0, 0), (0, 1, 0), black)
+    b.quad("Within", (-0.2, -0.1, 0.9), (0.4, 0, 0), (0, 0.3, 0.05), black)
+    b.quad("Across", (0.1, -0.1, 1.3), (0.5, 0, 0), (0, 0.3, 0.15), black)
+    b.light(Light("Light", kind, COLOR, (0.05, 0.0, 1.1), radius=0.5, **options))
+    return World(b.build())
+
+
+@pytest.mark.parametrize("soft", [False, True], ids=["sphere", "soft"])
+@pytest.mark.parametrize("kind, options", [("point", {}), ("spot", {"spot_angle": 2.0, "spot_blend": 0.5})], ids=["point", "spot"])
+def test_gathering_and_shooting_put_the_same_light_on_what_lies_within_a_lamp(kind, options, soft):
+    """With shadows: power on both sides of each sheet."""
+    world = surroundings(kind, options | {"soft_falloff": soft})
+    rng, n, batches = np.random.default_rng(6), 20_000, 24
+    gathered, emitters = [], Emitters(world)
+    for sheet in range(3):
+        triangle, (u, v) = 2 * sheet + rng.integers(0, 2, n).astype(np.int32), maps.triangle(*rng.random((2, n), np.float32))
+        normal = world.surface(triangle, u, v).ng
+        for side in (1, -1):
+            found, _ = direct_irradiance(world, emitters, world.surface(triangle, u, v, side * normal), 2, rng)
+            gathered.append(statistics(found.T * world.area[2 * sheet : 2 * sheet + 2].sum()))
+    emission, shot = Emission(world), np.zeros((6, 2, 3, batches))
+    for batch in range(batches):
+
+        def visit(hits, batch=batch):
+            np.add.at(shot[..., batch], (hits.surface.triangle, (hits.surface.side < 0).astype(int)), hits.arriving)
+
+        walk(world, emission.draw(8192, rng), 1, rng, visit)
+    mean, error = statistics(shot.reshape(3, 2, 2, 3, batches).sum(axis=1))
+    agree([np.concatenate(x) for x in zip(*gathered, strict=True)], (mean.ravel(), error.ravel()), kind)
 
 
 def even_directions(n, rng):

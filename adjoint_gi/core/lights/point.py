@@ -7,15 +7,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
 from ..sampling import maps as sampling
 from ..sampling.maps import ONE, PI, TWO_PI, dot
-from ..scene.arrays import Light
+from ..scene.arrays import Light, RayKind
 from ..scene.world import World
 from .base import LampKind, Rays, Sample, Seen, unit
 from .outgoing import across, sphere_directions
+
+INWARD = 0.25  # share of the rays of a sphere that light what lies in it, where anything does
 
 
 class PointLights(LampKind):
@@ -84,17 +87,59 @@ class PointLights(LampKind):
         if radius <= 0:
             return self._rays(i, np.broadcast_to(center, direction.shape), direction)
         x, y = sampling.disk(square[:, 2], square[:, 3])
-        offset = radius * across(direction, x, y)
         b2 = x * x + y * y
-        height = np.sqrt(np.maximum(0, 1 - b2))
+        middle, half = center + radius * across(direction, x, y), radius * np.sqrt(np.maximum(0, 1 - b2))
         if self.form == "disk":
-            return self._rays(i, center + offset, direction, radius * b2 / np.maximum(height, 1e-9))
+            dark = radius**2 * b2 / np.maximum(half, 1e-9)
+            return self._rays(i, middle, direction, self._behind(i, middle, direction, half, radius**2 * b2, dark))
+        if self.holds[i]:
+            return self._from_both_sides(i, middle, direction, half, rng)
         # The point where the line leaves the sphere.
-        return self._rays(i, center + offset + radius * height[:, None] * direction, direction)
+        return self._rays(i, middle + half[:, None] * direction, direction)
+
+    @cached_property
+    def holds(self) -> np.ndarray:
+        """(k,) bool: whether surfaces lie, or may lie, within the sphere of each lamp."""
+        return np.array([near(self.world, c, x.radius) for c, x in zip(self.center, self.lights, strict=True)], bool)
+
+    def _from_both_sides(self, i: int, middle: np.ndarray, direction: np.ndarray, half: np.ndarray, rng: np.random.Generator) -> Rays:
+        """Some rays start where their line enters the sphere and light what they meet in it; the others start where it leaves.
+
+        From inside the sphere its surface is as bright as from outside, and what lies in it casts no shadow on what lies outside.
+        """
+        inward = rng.random(len(half)) < INWARD
+        origin = middle + np.where(inward, -half, half)[:, None] * direction
+        share = np.where(inward, 1 / INWARD, 1 / (1 - INWARD))
+        rows = np.flatnonzero(inward)
+        share[rows[self._distance(origin[rows], direction[rows]) >= 2 * half[rows]]] = 0
+        return Rays(origin, direction, share[:, None] * self.flux[i])
+
+    def _behind(self, i: int, middle: np.ndarray, direction: np.ndarray, half: np.ndarray, b2: np.ndarray, dark: np.ndarray) -> np.ndarray:
+        """`dark`, or farther where the disk that faces a receiver lies behind something: at b^2 / t behind `middle` for one at t."""
+        if not self.holds[i]:
+            return dark
+        t = self._distance(middle, -direction)
+        return np.where(t < half, np.maximum(dark, b2 / np.maximum(t, 1e-12)), dark)
+
+    def _distance(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """(n,) metres to what casts shadows."""
+        rays = (np.ascontiguousarray(a, np.float32) for a in (origin, direction))
+        return self.world.intersect(*rays, RayKind.SHADOW)[3]
 
     def directions(self, i: int, square: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """(n, 3) float64 directions with density proportional to the intensity: uniform."""
         return sphere_directions(square[:, 0], square[:, 1])
+
+
+def near(world: World, center: np.ndarray, radius: float) -> bool:
+    """Whether a triangle of `world` may lie within `radius` (m) of `center` (3,): those whose box and plane do."""
+    corner, normal = world.rows[:, 0:3], world.rows[:, 9:12]
+    e1, e2 = world.rows[:, 3:6], world.rows[:, 6:9]
+    low = corner + np.minimum(0, np.minimum(e1, e2))
+    high = corner + np.maximum(0, np.maximum(e1, e2))
+    apart = np.maximum(np.maximum(low - center, center - high), 0)
+    box = np.einsum("ij,ij->i", apart, apart) < radius**2
+    return bool((box & (np.abs(np.einsum("ij,ij->i", corner - center, normal)) < radius)).any())
 
 
 def _on_sphere(r: np.ndarray, to: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
