@@ -7,6 +7,7 @@ import pytest
 from adjgi.adjoint_gi.core.base.errors import MemoryRefused, TargetError
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.receivers import rasterize as raster
+from adjgi.adjoint_gi.core.receivers import runs
 from adjgi.adjoint_gi.core.receivers import texels as lightmap
 from adjgi.adjoint_gi.core.receivers.texels import Placement, rasterize
 from adjgi.adjoint_gi.core.scene import topology as charts
@@ -101,7 +102,7 @@ def test_results_do_not_depend_on_the_chunk_size(monkeypatch):
     b.mesh("Sphere", vertices, triangles, WHITE, uv=uv)
     world = World(b.build())
     whole = rasterize(world, [0], resolution=64, subsamples=3)
-    monkeypatch.setattr(raster, "TEXELS_PER_CHUNK", 100)
+    monkeypatch.setattr(raster, "PLACES_PER_CHUNK", 100)
     parts = rasterize(world, [0], resolution=64, subsamples=3)
     assert np.array_equal(whole.receivers.triangle, parts.receivers.triangle)
     assert np.array_equal(whole.receivers.u, parts.receivers.u)
@@ -141,10 +142,21 @@ def test_sheets_at_one_place_that_face_apart_overlap():
 @pytest.mark.parametrize("turn", range(3))
 @pytest.mark.parametrize("flip", [False, True])
 def test_rows_of_an_axis_aligned_triangle_reach_from_edge_to_edge(turn, flip):
-    """Its level edge lies in the first of its rows; from whichever corner it begins, the row is as wide as the edge."""
-    corners = np.roll(np.array([[1.0, 1.0], [7.0, 1.0], [1.0, 4.0]]), turn, axis=0)
-    left, right = raster.row_extent(corners[::-1][None] if flip else corners[None], np.zeros(3, int), np.array([1, 2, 3]))
-    assert np.allclose(left, 1, atol=1e-5) and np.allclose(right, [7, 5, 3], atol=1e-5)
+    """Its level edge bounds the first of its rows; from whichever corner it begins, a row is as wide as the triangle there."""
+    corners = np.roll(np.array([[1.0, 1.0], [7.0, 1.0], [1.0, 4.0]]), turn, axis=0) / 8
+    layout = runs.UvTriangles.of(corners[::-1][None] if flip else corners[None], 8, 8)
+    found = runs.runs_of_rows(layout.edges(), np.array([0]), (0, 8), 8, np.array([[0.5, 0.5], [0.0, 0.0]]))
+    centres, lower = found.place == 0, found.place == 1
+    assert np.array_equal(found.row[centres], [1, 2, 3]) and np.array_equal(found.row[lower], [1, 2, 3, 4])
+    assert np.all(found.first == 1) and np.array_equal(found.last[centres], [5, 3, 1]) and np.array_equal(found.last[lower], [7, 5, 3, 1])
+
+
+def test_pieces_that_two_runs_share_are_found_once_for_each_further_claim():
+    n = np.zeros(5, int)
+    lines = runs.Runs(np.arange(5), np.array([0, 0, 0, 0, 1]), n, np.array([0, 2, 4, 9, 0]), np.array([5, 3, 9, 12, 12]))
+    run, other, first, last = runs.shared(lines, 16, 1)
+    assert np.array_equal(run, [1, 2, 3]) and np.array_equal(other, [0, 0, 2])
+    assert np.array_equal(first, [2, 4, 9]) and np.array_equal(last, [3, 5, 9])
 
 
 def test_touching_islands_do_not_overlap():
@@ -187,7 +199,7 @@ def test_impossible_resolution_is_refused(resolution):
 
 
 def test_too_much_memory_is_refused_with_both_numbers():
-    with pytest.raises(MemoryRefused, match=r"need 115.3 GiB, allowed are 16.0 GiB"):
+    with pytest.raises(MemoryRefused, match=r"need 90.3 GiB, allowed are 16.0 GiB"):
         rasterize(flat_world(rectangle(0, 0, 1, 1)), [0], resolution=16384, subsamples=16)
 
 

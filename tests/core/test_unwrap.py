@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import TargetError
 from adjgi.adjoint_gi.core.base.steps import finish
+from adjgi.adjoint_gi.core.receivers import conformal
 from adjgi.adjoint_gi.core.receivers import unwrap as module
 from adjgi.adjoint_gi.core.receivers.charts import Charts, Mesh, area_vectors, carry, islands, signed_areas, smooth_regions
 from adjgi.adjoint_gi.core.receivers.conformal import MAX_REGION_TRIANGLES, cut_off, make_charts
+from adjgi.adjoint_gi.core.receivers.rasterize import row_blocks
+from adjgi.adjoint_gi.core.receivers.runs import UvTriangles
 from adjgi.adjoint_gi.core.receivers.unwrap import unwrap
 from adjgi.adjoint_gi.core.receivers.uv_check import check
 from adjgi.tests.scenes import icosphere
@@ -142,6 +145,34 @@ def test_unwrapping_goes_in_steps_whose_shares_rise():
     shares = list(steps)
     assert len(shares) >= 8 and np.all(np.diff(shares) >= 0) and shares[0] >= 0 and shares[-1] <= 1
     assert np.array_equal(np.concatenate(finish(module.unwrapping(many, 128, (2, 1))).uvs), np.concatenate(unwrap(many, 128, (2, 1)).uvs))
+
+
+def test_every_atlas_of_xatlas_is_given_one_mesh(monkeypatch):
+    """A second one moves the list from which its threads take the first: a crash in one of twenty runs. Flat regions need none."""
+    added = []
+
+    class Counted(conformal.xatlas.Atlas):
+        def add_mesh(self, *arguments):
+            added.append(self)
+            super().add_mesh(*arguments)
+
+    monkeypatch.setattr(conformal.xatlas, "Atlas", Counted)
+    ball = mesh(*icosphere(2))
+    two = mesh(np.concatenate([ball.vertices, ball.vertices + 3]), np.concatenate([ball.triangles, ball.triangles + len(ball.vertices)]))
+    assert make_charts(two).count >= 8 and len(added) == len(set(map(id, added))) == 2
+    make_charts(box())
+    assert len(added) == 2
+
+
+def test_the_check_of_a_layer_costs_rows_and_not_texels():
+    """Twice the resolution: twice the runs, and no list of the texels themselves."""
+    meshes = [box() for _ in range(4)]
+    uv = np.concatenate(unwrap(meshes, 256, (4,)).uvs)
+    count = []
+    for size in (256, 512):
+        layout = UvTriangles.of(uv, size, size)
+        count.append(sum(len(found) for _, found in row_blocks(layout, size, size, np.array([[0.5, 0.5]]))))
+    assert count[1] < 2.1 * count[0] < 0.1 * 512**2
 
 
 def test_faces_stay_whole_and_creases_part_charts():

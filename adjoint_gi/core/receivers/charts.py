@@ -27,6 +27,10 @@ class Mesh:
         """(nt, 3, 3) float64 positions of the corners."""
         return self.vertices[self.triangles]
 
+    def part(self, which: np.ndarray) -> Mesh:
+        """The triangles `which` (nt,) bool alone."""
+        return Mesh(self.vertices, self.triangles[which], self.polygon[which])
+
 
 @dataclass(frozen=True, eq=False)
 class Charts:

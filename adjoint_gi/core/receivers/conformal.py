@@ -1,8 +1,9 @@
 """Charts by xatlas (J. Young, after I. Castano's Thekla Atlas): grown over smooth regions, laid flat by least-squares conformal maps.
 
 B. Levy, S. Petitjean, N. Ray, J. Maillot, Least Squares Conformal Maps for Automatic Texture Atlas Generation, 2002. xatlas is given
-what it can bear: finite coordinates about the origin, each smooth region on its own, and none that is too large. What it answers is
-mended: polygons are put together again, lengths are measured anew, and a chart that is bent too far is laid flat by projection.
+what it can bear: finite coordinates about the origin, each smooth region on its own, and none that is too large; flat ones need no map
+but a projection. What it answers is mended: polygons are put together again, lengths are measured anew, and a chart that is bent too far
+is laid flat by projection.
 """
 
 from __future__ import annotations
@@ -12,16 +13,14 @@ from collections.abc import Callable
 import numpy as np
 import xatlas
 
-from ..base.steps import Steps, finish
-from .charts import Charts, Mesh, area_vectors, carry, islands, numbered, signed_areas, smooth_regions
-from .projection import pieces, project, tightest
-from .rasterize import blocks
+from ..base.steps import Steps, finish, within
+from .charts import Charts, Mesh, area_vectors, carry, islands, mean_normal, numbered, signed_areas, smooth_regions
+from .projection import FLAT, pieces, project, tightest, worst_cosine
 
 NONE = np.uint32(0xFFFFFFFF)  # the chart of what xatlas left out
 MAX_REGION_TRIANGLES = 5000  # triangles of a region that xatlas is given: its time grows with the square, 0.4 s here
-BATCH_TRIANGLES = 2000  # triangles that xatlas is given at once where they are several regions: it cannot be stopped
 EXTENT = 1e4  # largest extent of what xatlas sees: it ignores triangles of less than 1.2e-7 square units, which float32 cannot hold then
-COARSE = 256  # texels a side of the packing xatlas does along with the charts, which nothing comes of
+COARSE = 128  # texels a side of the packing xatlas does along with the charts of a region, which nothing comes of
 WIDEST = 4096  # texels of a chart there: one that a bad map has drawn out must not become an image of that width
 STRETCH = 3.0  # how much an edge may be longer or shorter in a chart than in space
 LEAST = 1e-3  # share of the area that a triangle must keep in its chart
@@ -34,7 +33,14 @@ def make_charts(mesh: Mesh) -> Charts:
 
 def making_charts(mesh: Mesh) -> Steps[Charts]:
     """The same in steps."""
-    xy, chart = yield from _grow(mesh)
+    region = smooth_regions(mesh)
+    xy, chart = np.full((len(region), 3, 2), np.nan), np.full(len(region), -1, np.int64)
+    flat = _flat(mesh, region)
+    if flat.any():
+        laid = project(mesh.part(flat), region[flat])
+        xy[flat], chart[flat] = laid.xy, laid.chart
+    yield 0.1
+    yield from within(_grow(mesh, np.where(flat, -1, region), xy, chart), 0.1, 0.9)
     xy, chart = _whole_polygons(mesh, xy, chart)
     missing = ~np.isfinite(xy).all(axis=(1, 2))
     charts = _measured(mesh, Charts(np.where(missing[:, None, None], 0.0, xy), numbered(np.where(missing, -1, chart))))
@@ -56,7 +62,7 @@ def _relaid(mesh: Mesh, charts: Charts, which: np.ndarray, label: Callable[[Mesh
     """The charts with the triangles `which` (nt,) bool laid flat by projection, cut as `label` does."""
     if not which.any():
         return charts
-    part = Mesh(mesh.vertices, mesh.triangles[which], mesh.polygon[which])
+    part = mesh.part(which)
     flat = project(part, label(part))
     xy, chart = charts.xy.copy(), charts.chart.copy()
     xy[which], chart[which] = flat.xy, charts.count + flat.chart
@@ -75,42 +81,51 @@ def _finer(mesh: Mesh, chart: np.ndarray) -> np.ndarray:
     return np.where(several[chart], both, both.max() + 1 + polygon)
 
 
-def _grow(mesh: Mesh) -> Steps[tuple[np.ndarray, np.ndarray]]:
-    """Flat corners (nt, 3, 2) in units of xatlas and its charts (nt,); NaN for triangles it left out or was not given."""
-    region = smooth_regions(mesh)
+def _flat(mesh: Mesh, region: np.ndarray) -> np.ndarray:
+    """(nt,) bool: triangles of a `region` (nt,) that a projection lays flat as well as any map."""
+    normal = mean_normal(area_vectors(mesh.corners()), np.arange(len(region)))
+    mean = mean_normal(area_vectors(mesh.corners()), region)
+    return (worst_cosine(mean, normal, region) > FLAT)[region]
+
+
+def _grow(mesh: Mesh, region: np.ndarray, xy: np.ndarray, chart: np.ndarray) -> Steps[None]:
+    """Put flat corners in units of xatlas into `xy` (nt, 3, 2) and its charts into `chart` (nt,), for regions that are not -1.
+
+    Triangles that xatlas leaves out or is not given stay as they are.
+    """
     order = np.argsort(region, kind="stable")
-    parts = [part for part in np.split(order, np.flatnonzero(np.diff(region[order])) + 1) if len(part) <= MAX_REGION_TRIANGLES]
+    parts = np.split(order, np.flatnonzero(np.diff(region[order])) + 1)
+    parts = [part for part in parts if len(part) <= MAX_REGION_TRIANGLES and region[part[0]] >= 0]
     low, high = mesh.corners().min(axis=(0, 1)), mesh.corners().max(axis=(0, 1))
     scale = EXTENT / max(float((high - low).max()), 1e-300)
     place = ((mesh.vertices - 0.5 * (low + high)) * scale).astype(np.float32)
-
-    xy, chart = np.full((len(region), 3, 2), np.nan), np.full(len(region), -1, np.int64)
-    count = 0
-    for some in blocks(np.array([len(part) for part in parts], np.int64), BATCH_TRIANGLES):
-        _grow_some(place, mesh.triangles, parts[some], xy, chart, count)
-        count = max(count, int(chart.max()) + 1)
-        yield some.stop / len(parts)
-    return xy, chart
+    count = int(chart.max(initial=-1)) + 1
+    for number, part in enumerate(parts):
+        xy[part], label = _grown(place, mesh.triangles[part])
+        chart[part] = np.where(label >= 0, count + label, -1)
+        count += int(label.max(initial=-1)) + 1
+        yield (number + 1) / len(parts)
 
 
-def _grow_some(place: np.ndarray, triangles: np.ndarray, parts: list[np.ndarray], xy: np.ndarray, chart: np.ndarray, first: int) -> None:
-    """Put corners and charts, numbered from `first` on, of the triangles of some regions `parts` into `xy` and `chart`, by one atlas."""
-    area = float(sum(np.linalg.norm(area_vectors(place[triangles[part]].astype(np.float64)), axis=1).sum() for part in parts))
+def _grown(place: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Flat corners (n, 3, 2) and charts (n,) int64 of one region of `triangles`; NaN and -1 for those that xatlas leaves out.
+
+    Each region has an atlas of its own: while a second mesh is added, xatlas 0.0.11 moves the list from which its threads take the first.
+    """
     atlas = xatlas.Atlas()
-    for part in parts:
-        used, index = np.unique(triangles[part], return_inverse=True)
-        atlas.add_mesh(place[used], index.reshape(-1, 3).astype(np.uint32))
+    used, index = np.unique(triangles, return_inverse=True)
+    atlas.add_mesh(place[used], index.reshape(-1, 3).astype(np.uint32))
+    area = float(np.linalg.norm(area_vectors(place[triangles].astype(np.float64)), axis=1).sum())
     options = xatlas.PackOptions()
     options.bilinear = False
     options.texels_per_unit = COARSE / max(area, 1.0) ** 0.5
     options.max_chart_size = WIDEST
     atlas.generate(xatlas.ChartOptions(), options)
-    for number, part in enumerate(parts):
-        _, index, uv = atlas.get_mesh(number)
-        _, label = atlas.get_mesh_vertex_assignment(number)
-        known = label[index[:, 0]] != NONE
-        xy[part[known]] = uv[index[known]].astype(np.float64) * (atlas.width, atlas.height)
-        chart[part[known]] = first + label[index[known, 0]].astype(np.int64)
+    _, corner, uv = atlas.get_mesh(0)
+    label = atlas.get_mesh_vertex_assignment(0)[1][corner[:, 0]]
+    known = label != NONE
+    flat = uv[corner].astype(np.float64) * (atlas.width, atlas.height)
+    return np.where(known[:, None, None], flat, np.nan), np.where(known, label.astype(np.int64), -1)
 
 
 def _whole_polygons(mesh: Mesh, xy: np.ndarray, chart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -28,7 +28,7 @@ def pieces(mesh: Mesh) -> np.ndarray:
     turn = np.einsum("ij,ij->i", normal[a], normal[b])
     flat = joined(polygon, a[within | (turn > FLAT)], b[within | (turn > FLAT)])
     mean = mean_normal(vector, flat)
-    direction = np.where((_worst(mean, normal, flat) > FLAT)[flat][:, None], mean[flat], normal)
+    direction = np.where((worst_cosine(mean, normal, flat) > FLAT)[flat][:, None], mean[flat], normal)
 
     # Step 2: the main axis each face looks along; neighbours with the same one and no crease between them make a chart.
     rounded = np.round(direction, 5)
@@ -48,20 +48,27 @@ def project(mesh: Mesh, label: np.ndarray) -> Charts:
 
 def tightest(charts: Charts) -> Charts:
     """The charts, each turned into its tightest rectangle, the long side along x, the lower left corner at the origin."""
-    best = np.full(charts.count, np.inf)
-    turn = np.zeros(charts.count)
+    order = np.argsort(charts.chart, kind="stable")
+    x, y = np.ascontiguousarray(charts.xy[order].reshape(-1, 2).T)
+    start = 3 * np.searchsorted(charts.chart[order], np.arange(charts.count))
+    best, turn = np.full(charts.count, np.inf), np.zeros(charts.count)
     for angle in np.linspace(0, np.pi / 2, ANGLES, endpoint=False):
-        low, high = _turned(charts, np.full(charts.count, angle)).bounds()
-        space = np.prod(high - low + 1e-9, axis=1)
+        c, s = np.cos(angle), np.sin(angle)
+        wide, high = _extent(x * c - y * s, start), _extent(x * s + y * c, start)
+        space = (wide + 1e-9) * (high + 1e-9)
         better = space < best * (1 - 1e-6)
-        best[better], turn[better] = space[better], angle
-    low, high = _turned(charts, turn).bounds()
-    upright = (high - low)[:, 1] > (high - low)[:, 0] * (1 + 1e-6)
-    charts = _turned(charts, turn + np.where(upright, np.pi / 2, 0))
+        best[better] = space[better]
+        turn[better] = (angle + np.where(high > wide * (1 + 1e-6), np.pi / 2, 0))[better]
+    charts = _turned(charts, turn)
     return Charts(charts.xy - charts.bounds()[0][charts.chart][:, None], charts.chart)
 
 
-def _worst(mean: np.ndarray, normal: np.ndarray, label: np.ndarray) -> np.ndarray:
+def _extent(values: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """(n,) differences between the largest and the smallest of the values from each `start` on."""
+    return np.maximum.reduceat(values, start) - np.minimum.reduceat(values, start)
+
+
+def worst_cosine(mean: np.ndarray, normal: np.ndarray, label: np.ndarray) -> np.ndarray:
     """(n,) smallest cosine between the `mean` (n, 3) of a label and the normals of its triangles."""
     worst = np.ones(len(mean))
     np.minimum.at(worst, label, np.einsum("ij,ij->i", mean[label], normal))
@@ -78,7 +85,7 @@ def _direction(mesh: Mesh, chart: np.ndarray) -> np.ndarray:
     row = np.arange(len(mean))
     main = np.zeros_like(mean)
     main[row, largest] = np.sign(mean[row, largest])
-    return np.where((_worst(mean, normal, chart) > STEEP)[:, None], mean, main)
+    return np.where((worst_cosine(mean, normal, chart) > STEEP)[:, None], mean, main)
 
 
 def _plane(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,112 +7,121 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.world import World
+from .runs import Runs, UvTriangles, blocks, expand, runs_of_rows, shared
 
-TEXELS_PER_CHUNK = 1 << 20  # candidate texels looked at in one go
+PLACES_PER_CHUNK = 1 << 20  # places of texels looked at in one go
 INSIDE = 1e-5  # barycentric distance that points keep from the edges: a ray must not start inside the wall at the end of a floor
 STRICT = 1e-3  # barycentric distance from the edges at which a point counts as inside two triangles at once
 
 
 @dataclass(frozen=True, eq=False)
-class UvTriangles:
-    """Triangles in units of texels: xy (n, 3, 2) float64, doubled (n,) their signed area times two; and which of them are usable
-    (finite), inside the image, and have an area, (n,) bool."""
+class Shapes:
+    """Where the triangles of the layout lie in space: `rows` (n, 12) float32 v0, e1, e2, unit normal, as in `World`."""
 
-    xy: np.ndarray
-    doubled: np.ndarray
-    usable: np.ndarray
-    inside: np.ndarray
-    has_area: np.ndarray
+    rows: np.ndarray
 
-    @classmethod
-    def of(cls, uv: np.ndarray, width: int, height: int) -> UvTriangles:
-        """From UVs (n, 3, 2) of an image of `width` x `height` texels."""
-        xy = uv.astype(np.float64) * (width, height)
-        usable = np.isfinite(xy).all(axis=(1, 2)) & (np.abs(np.nan_to_num(xy)) < 2**40).all(axis=(1, 2))
-        xy[~usable] = 0.0
-        inside = (xy >= -1e-3).all(axis=(1, 2)) & (xy <= np.array([width, height]) + 1e-3).all(axis=(1, 2))
-        e1, e2 = xy[:, 1] - xy[:, 0], xy[:, 2] - xy[:, 0]
-        doubled = e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]
-        has_area = np.abs(doubled) > 1e-9 * np.maximum((e1**2).sum(1), (e2**2).sum(1)) + 1e-15
-        return cls(xy, doubled, usable, inside, has_area)
+    @property
+    def near(self) -> float:
+        """Points closer than this are one: a part of their own extent, and of what float32 rounds them by."""
+        first = self.rows[:, 0:3] if len(self.rows) else np.zeros((1, 3))
+        return 1e-5 * float(np.ptp(first, axis=0).max() / 2) + 1e-6 * float(np.abs(first).max())
 
-    def slopes(self) -> np.ndarray:
-        """(4, n) float64 ax, ay, bx, by: barycentrics are a = px ax + py ay and b = px bx + py by, (px, py) from the first corner."""
-        e1, e2 = self.xy[:, 1] - self.xy[:, 0], self.xy[:, 2] - self.xy[:, 0]
-        safe = np.where(self.has_area, self.doubled, 1.0)
-        return np.stack([e2[:, 1] / safe, -e2[:, 0] / safe, -e1[:, 1] / safe, e1[:, 0] / safe])
+    def apart(self, i: np.ndarray, at_i: np.ndarray, j: np.ndarray, at_j: np.ndarray) -> np.ndarray:
+        """(k,) bool: whether points `at_i`, `at_j` (2, k) barycentric, of triangles i and j (k,) are of different surfaces.
+
+        They are where they lie apart or face another way.
+        """
+        distance = np.linalg.norm(self._point(i, at_i) - self._point(j, at_j), axis=1)
+        return (distance > self.near) | (np.einsum("ij,ij->i", self.rows[i, 9:12], self.rows[j, 9:12]) < 0.99)
+
+    def _point(self, triangle: np.ndarray, at: np.ndarray) -> np.ndarray:
+        row = self.rows[triangle]
+        return row[:, 0:3] + at[0][:, None] * row[:, 3:6] + at[1][:, None] * row[:, 6:9]
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Claims:
-    """Who owns each place of each texel: holder (texels * places,) int32 is 1 + the triangle's position in the list, 0 is free;
-    u, v (texels * places,) float32 barycentrics there; overlapping (texels,) bool: claimed by different surfaces;
-    clashing (k,) the positions of triangles that claim the same place for different surfaces."""
+    """Who owns the places of texels that lie in a triangle, by texel and number of the place.
 
-    holder: np.ndarray
+    item (p,) int32 the triangle's position in the list; u, v (p,) float32 barycentrics there; many (texels,) uint16 places of each
+    texel; overlapping the number of texels claimed by different surfaces; clashing (k,) the positions of triangles that claim the
+    same place for different surfaces.
+    """
+
+    item: np.ndarray
     u: np.ndarray
     v: np.ndarray
-    overlapping: np.ndarray
+    many: np.ndarray
+    overlapping: int
     clashing: np.ndarray
 
 
-def claim_places(world: World, triangle: np.ndarray, layout: UvTriangles, width: int, height: int, offsets: np.ndarray) -> Claims:
-    """Test the places `offsets` (m, 2) of every texel that a triangle may touch; the lowest triangle keeps a place that two claim.
-
-    triangle (n,): the world's triangle of each one in `layout`.
-    """
-    texels, places = width * height, len(offsets)
-    claim = np.zeros(texels * places, np.int32)
-    u, v = np.zeros((2, texels * places), np.float32)
-    overlapping = np.zeros(texels, bool)
-    clash: list[np.ndarray] = []
-    slopes = layout.slopes()
-    for which, row, column in candidates(layout.xy, np.flatnonzero(layout.usable & layout.has_area), width, height):
-        px, py = column - layout.xy[which, 0, 0], row - layout.xy[which, 0, 1]
-        ax, ay, bx, by = slopes[:, which]
-        base_a, base_b = px * ax + py * ay, px * bx + py * by
-        for k, (dx, dy) in enumerate(offsets):
-            # Step 1: which candidates cover this place of the texel.
-            a, b = base_a + (dx * ax + dy * ay), base_b + (dx * bx + dy * by)
-            hit = np.flatnonzero((a >= -1e-9) & (b >= -1e-9) & (a + b <= 1 + 1e-9))
-            if not len(hit):
-                continue
-            place = (row[hit] * width + column[hit]) * places + k
-            mine, a, b = which[hit] + 1, a[hit], b[hit]
-            # Step 2: free places are taken. Assigned backwards, as of equal indices numpy keeps the last: the lowest triangle stays.
-            free = np.flatnonzero(claim[place] == 0)[::-1]
-            claim[place[free]] = mine[free]
-            own = claim[place] == mine
-            u[place[own]], v[place[own]] = kept_inside(a[own], b[own])
-            # Step 3: who came too late clashes with the holder, unless both mean the same surface.
-            lost = np.flatnonzero(~own & (np.minimum(np.minimum(a, b), 1 - a - b) > STRICT))
-            if len(lost):
-                at = place[lost]
-                differ = elsewhere(world, triangle, claim[at] - 1, u[at], v[at], mine[lost] - 1, a[lost], b[lost])
-                overlapping[at[differ] // places] = True
-                clash.append(np.unique(np.concatenate([mine[lost[differ]] - 1, claim[at[differ]] - 1])))
-    return Claims(claim, u, v, overlapping, np.unique(np.concatenate(clash)) if clash else np.zeros(0, int))
+def claim_places(shapes: Shapes, layout: UvTriangles, width: int, height: int, offsets: np.ndarray) -> Claims:
+    """Find the places `offsets` (m, 2) of every texel that lie in a triangle; the lowest triangle keeps a place that two claim."""
+    places, maps = len(offsets), layout.maps()
+    parts: list[tuple[np.ndarray, ...]] = []
+    many = np.zeros(width * height, np.uint16)
+    clashes = Clashes.none(len(maps))
+    for (low, high), runs in row_blocks(layout, width, height, offsets):
+        # Step 1: places are painted from the last triangle to the first, so that the lowest stays: of equal indices numpy keeps the last.
+        holder = np.full((high - low) * width * places, -1, np.int32)
+        claimed = 0
+        for part in reversed(list(blocks(runs.last - runs.first + 1, PLACES_PER_CHUNK))):
+            which, column = expand(np.arange(part.stop - 1, part.start - 1, -1), runs.first[part][::-1], runs.last[part][::-1] + 1)
+            holder[((runs.row[which] - low) * width + column) * places + runs.place[which]] = runs.triangle[which]
+            claimed += len(which)
+        filled = np.flatnonzero(holder >= 0)
+        # Step 2: what was painted twice clashes, unless both mean the same surface.
+        if claimed > len(filled):
+            clashes.look(shapes, maps, runs, low, width, offsets)
+        # Step 3: barycentrics where they are needed.
+        item = holder[filled]
+        a, b = _barycentric(maps, item, filled // places % width, low + filled // places // width, offsets[filled % places])
+        parts.append((item, *(x.astype(np.float32) for x in kept_inside(a, b))))
+        many[low * width : high * width] = (holder >= 0).reshape(-1, places).sum(axis=1)
+    item, u, v = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    return Claims(item, u, v, many, clashes.texels, np.flatnonzero(clashes.triangle))
 
 
-def candidates(xy: np.ndarray, work: np.ndarray, width: int, height: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Chunks of (triangle, row, column), each (m,) int64, that hold every texel touched by the triangles `work` of `xy` (nt, 3, 2).
+def row_blocks(layout: UvTriangles, width: int, height: int, offsets: np.ndarray) -> Iterator[tuple[tuple[int, int], Runs]]:
+    """The image in blocks of rows, (first row, row after the last), of about PLACES_PER_CHUNK places, each with the runs in it."""
+    edges = layout.edges()
+    work = np.flatnonzero(layout.usable & layout.has_area)
+    bottom, top = edges[work, 0], edges[work, 2]
+    step = max(1, PLACES_PER_CHUNK // (width * len(offsets)))
+    for low in range(0, height, step):
+        high = min(low + step, height)
+        yield (low, high), runs_of_rows(edges, work[(bottom < high) & (top >= low)], (low, high), width, offsets)
 
-    A triangle is cut into rows and each row into the texels between its leftmost and rightmost point there, so a large triangle
-    costs what it covers and not what its bounding box holds. In order of the triangles.
-    """
-    # Float rounding must not lose a texel at a border: a little slack, and the exact test follows anyway.
-    slack = 1e-6
-    low = np.clip(np.floor(xy[work, :, 1].min(axis=1) - slack), 0, height).astype(np.int64)
-    high = np.clip(np.floor(xy[work, :, 1].max(axis=1) + slack) + 1, 0, height).astype(np.int64)
-    for some in blocks(np.maximum(high - low, 0), TEXELS_PER_CHUNK):
-        which, row = expand(work[some], low[some], high[some])
-        left, right = row_extent(xy, which, row)
-        first = np.clip(np.floor(left - slack), 0, width).astype(np.int64)
-        last = np.where(right < left, first, np.clip(np.floor(right + slack) + 1, 0, width).astype(np.int64))
-        for part in blocks(np.maximum(last - first, 0), TEXELS_PER_CHUNK):
-            index, column = expand(np.arange(part.start, part.stop), first[part], last[part])
-            yield which[index], row[index], column
+
+@dataclass(eq=False)
+class Clashes:
+    """What different surfaces claim: `triangle` (n,) bool take part, `texels` is the number of texels."""
+
+    triangle: np.ndarray
+    texels: int
+
+    @classmethod
+    def none(cls, count: int) -> Clashes:
+        """Of `count` triangles none yet."""
+        return cls(np.zeros(count, bool), 0)
+
+    def look(self, shapes: Shapes, maps: np.ndarray, runs: Runs, low: int, width: int, offsets: np.ndarray) -> None:
+        """Add those of `runs`, all that there are in some rows from `low` on."""
+        run, other, first, last = shared(runs, width, len(offsets))
+        texels = [np.zeros(0, np.int64)]
+        for part in blocks(last - first + 1, PLACES_PER_CHUNK):
+            which, column = expand(np.arange(part.start, part.stop), first[part], last[part] + 1)
+            late, holder = runs.triangle[run[which]], runs.triangle[other[which]]
+            row, place = runs.row[run[which]], runs.place[run[which]]
+            mine = np.stack(_barycentric(maps, late, column, row, offsets[place]))
+            inner = np.flatnonzero(np.minimum(mine.min(axis=0), 1 - mine.sum(axis=0)) > STRICT)
+            late, holder, column, row, place, mine = late[inner], holder[inner], column[inner], row[inner], place[inner], mine[:, inner]
+            theirs = np.stack(_barycentric(maps, holder, column, row, offsets[place]))
+            differ = shapes.apart(late, mine, holder, theirs)
+            self.triangle[late[differ]] = self.triangle[holder[differ]] = True
+            texels.append(np.unique((row[differ] - low) * width + column[differ]))
+        self.texels += len(np.unique(np.concatenate(texels)))
 
 
 def kept_inside(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -122,49 +131,10 @@ def kept_inside(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return a - excess, b - excess
 
 
-def row_extent(xy: np.ndarray, which: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest and largest x (m,) of triangles `which` inside the slab row <= y <= row + 1."""
-    left, right = np.full(len(row), np.inf), np.full(len(row), -np.inf)
-    for k in range(3):
-        p, q = xy[which, k], xy[which, (k + 1) % 3]
-        dy = q[:, 1] - p[:, 1]
-        level = np.abs(dy) < 1e-12
-        safe = np.where(level, 1.0, dy)
-        t0, t1 = (row - 1e-6 - p[:, 1]) / safe, (row + 1 + 1e-6 - p[:, 1]) / safe
-        t0, t1 = np.minimum(t0, t1), np.maximum(t0, t1)
-        # The ends of a level edge are those of the other two, which have an extent in y, as the triangle has an area.
-        misses = level | (t1 < 0) | (t0 > 1)
-        dx = q[:, 0] - p[:, 0]
-        x0, x1 = p[:, 0] + np.clip(t0, 0, 1) * dx, p[:, 0] + np.clip(t1, 0, 1) * dx
-        left = np.minimum(left, np.where(misses, np.inf, np.minimum(x0, x1)))
-        right = np.maximum(right, np.where(misses, -np.inf, np.maximum(x0, x1)))
-    return left, right
-
-
-def expand(items: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each of `items` repeated for the numbers first..last-1 that belong to it, and these numbers."""
-    count = np.maximum(last - first, 0)
-    total = np.cumsum(count)
-    run = np.arange(int(total[-1]) if len(total) else 0) - np.repeat(total - count, count)
-    return np.repeat(items, count), np.repeat(first, count) + run
-
-
-def blocks(count: np.ndarray, limit: int) -> Iterator[slice]:
-    """Slices of about `limit` (a single item may have more) summed `count`."""
-    total = np.cumsum(count)
-    at = 0
-    while at < len(count):
-        done = total[at - 1] if at else 0
-        stop = max(at + 1, int(np.searchsorted(total, done + limit, side="right")))
-        yield slice(at, stop)
-        at = stop
-
-
-def elsewhere(
-    world: World, triangle: np.ndarray, i: np.ndarray, ui: np.ndarray, vi: np.ndarray, j: np.ndarray, uj: np.ndarray, vj: np.ndarray
-) -> np.ndarray:
-    """(n,) bool: whether two claims of one place are different surfaces: apart by 1e-5 of the scene, or facing another way."""
-    first = world.surface(triangle[i], ui.astype(np.float32), vi.astype(np.float32))
-    second = world.surface(triangle[j], uj.astype(np.float32), vj.astype(np.float32))
-    apart = np.linalg.norm(first.position - second.position, axis=1) > 1e-5 * world.extent
-    return apart | (np.einsum("ij,ij->i", first.ng, second.ng) < 0.99)
+def _barycentric(
+    maps: np.ndarray, triangle: np.ndarray, column: np.ndarray, row: np.ndarray, offset: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Second and third barycentric coordinate (k,) float64 of the places `offset` (k, 2) of texels in triangles of `maps`."""
+    x0, y0, ax, ay, bx, by = maps[triangle].T
+    px, py = column + offset[:, 0] - x0, row + offset[:, 1] - y0
+    return px * ax + py * ay, px * bx + py * by

@@ -12,7 +12,8 @@ from ..sampling.additive import STEPS, additive
 from ..scene.topology import uv_charts, weld
 from ..scene.world import World
 from .base import SurfaceReceivers
-from .rasterize import TEXELS_PER_CHUNK, UvTriangles, claim_places
+from .rasterize import PLACES_PER_CHUNK, Shapes, claim_places
+from .runs import UvTriangles
 
 MAX_RESOLUTION = 16384  # texels a side
 MEMORY_LIMIT = 16 << 30  # bytes
@@ -78,8 +79,8 @@ class Lightmap:
 
 
 def memory(width: int, height: int, subsamples: int) -> int:
-    """Bytes `rasterize` needs at most: dense points while it works, their compact copy, and one chunk of candidates."""
-    return width * height * (25 * subsamples + 60) + TEXELS_PER_CHUNK * 300
+    """Bytes `rasterize` needs at most: the points and a copy of one array of them, what is kept for each texel, and one chunk."""
+    return width * height * (20 * subsamples + 40) + PLACES_PER_CHUNK * 300
 
 
 def sample_offsets(subsamples: int) -> np.ndarray:
@@ -108,24 +109,20 @@ def rasterize(
     triangle, uv, chart, charts = _gather(world, objects, uv_layer, placement or {})
     layout = UvTriangles.of(uv, width, height)
 
-    # Step 2: test the places of every candidate texel.
-    claims = claim_places(world, triangle, layout, width, height, sample_offsets(subsamples))
+    # Step 2: who owns which places of the texels.
+    claims = claim_places(Shapes(world.rows[triangle]), layout, width, height, sample_offsets(subsamples))
 
-    # Step 3: keep the places that are claimed, in the order of texels.
-    filled = claims.holder > 0
-    many = filled.reshape(-1, subsamples).sum(axis=1, dtype=np.uint32)
+    # Step 3: texels that have any are receivers.
+    many, item = claims.many, claims.item
     pixel = np.flatnonzero(many)
     if not len(pixel):
         names = ", ".join(world.scene.objects[i].name for i in objects)
         raise TargetError(names, "no texel of the lightmap lies on the surface", "Unwrap into the unit square, or raise the resolution")
     start = np.concatenate([[0], np.cumsum(many[pixel], dtype=np.int64)])
-    item = claims.holder[filled] - 1
-    u, v = claims.u[filled], claims.v[filled]
-    clashing, overlapping = claims.clashing, int(claims.overlapping.sum())
-    del claims, filled
+    clashing, overlapping = claims.clashing, claims.overlapping
     chart_map = np.full(width * height, -1, np.int32)
     chart_map[pixel] = chart[item[start[:-1]]]
-    receivers = SurfaceReceivers("texels", start, triangle[item], u, v)
+    receivers = SurfaceReceivers("texels", start, triangle[item], claims.u, claims.v)
 
     # Step 4: what is wrong with the layout.
     owned = np.bincount(chart_map[pixel], minlength=charts)
@@ -137,7 +134,7 @@ def rasterize(
         receivers=receivers,
         pixel=pixel,
         covered=(chart_map >= 0).reshape(height, width),
-        share=(many / np.float32(subsamples)).astype(np.float32).reshape(height, width),
+        share=(many / np.float32(subsamples)).reshape(height, width),
         chart=chart_map.reshape(height, width),
         charts=charts,
         overlapping=counts["overlap"],

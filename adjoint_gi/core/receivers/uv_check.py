@@ -1,4 +1,7 @@
-"""What is wrong with a lightmap layer, found by rasterizing it as a bake does: shared texels, charts that come too close, lost faces."""
+"""What is wrong with a lightmap layer, found in the texels of a bake: shared texels, charts that come too close, lost faces.
+
+Rows of texels are compared as runs from border to border, so what takes time is how high triangles are and not how many texels they hold.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.arrays import Material, ObjectArrays, SceneArrays
-from ..scene.world import World
 from .charts import Mesh, area_vectors, islands, signed_areas
-from .texels import rasterize
+from .rasterize import Clashes, Shapes, row_blocks
+from .runs import Runs, UvTriangles
+from .texels import sample_offsets
 
 FINEST = 4096  # texels a side of the raster
+PLACES = 4  # looked at in each texel
 SEEN = 1e-2  # texels: a triangle of less area need not have one in UV space
 
 
@@ -64,29 +68,42 @@ def check(
     more than FINEST texels a side is looked at in less detail. `density` (n,) is that of `unwrap`.
     """
     size = min(resolution, FINEST)
-    lightmap = rasterize(_world(meshes, uv), [0], "uv", size, 4)
+    layout, shapes, offsets = UvTriangles.of(uv, size, size), _shapes(meshes), sample_offsets(PLACES)
     chart = _islands(meshes, uv) if chart is None else chart
-    texel = np.full(size * size, -1, np.int64)
-    texel[lightmap.pixel] = chart[lightmap.receivers.triangle[lightmap.receivers.start[:-1]]]
+    texel, clashes, maps = np.full((size, size), -1, np.int32), Clashes.none(len(uv)), layout.maps()
+    for (low, high), runs in row_blocks(layout, size, size, offsets):
+        clashes.look(shapes, maps, runs, low, size, offsets)
+        texel[low:high] = _charts_of_texels(runs, chart, low, high, size)
     factor = np.ones(len(meshes)) if density is None else density**2
     area = np.concatenate([np.linalg.norm(area_vectors(mesh.corners()), axis=1) * f for mesh, f in zip(meshes, factor, strict=True)])
     flat = np.abs(signed_areas(uv.astype(np.float64))) * size**2
     scale = flat.sum() / max(float(area.sum()), 1e-300)
     return Faults(
-        clashing=lightmap.clashing.astype(np.int64),
-        overlapping=lightmap.overlapping,
-        close=_close(texel.reshape(size, size), padding * size // resolution),
+        clashing=np.flatnonzero(clashes.triangle),
+        overlapping=clashes.texels,
+        close=_close(texel, padding * size // resolution),
         lost=np.flatnonzero((flat <= 0) & (area * scale > SEEN)),
-        outside=lightmap.outside,
+        outside=int((~layout.inside & layout.usable).sum()),
         charts=int(chart.max()) + 1,
-        covered=len(lightmap.pixel),
+        covered=int((texel >= 0).sum()),
     )
 
 
-def _vertex_ids(meshes: Sequence[Mesh]) -> np.ndarray:
-    """(nt, 3) int64 vertices of all triangles, numbered through."""
-    first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    return np.concatenate([mesh.triangles + start for mesh, start in zip(meshes, first, strict=False)])
+def _charts_of_texels(runs: Runs, chart: np.ndarray, low: int, high: int, width: int) -> np.ndarray:
+    """(rows, width) int64: the chart of every texel in rows from `low` to before `high`, -1 where none; one of its own where there are
+    several."""
+    # Sums over the runs that cover a texel, from what each adds at its first texel and takes away behind its last.
+    label = chart[runs.triangle].astype(np.float64)
+    start = (runs.row - low) * (width + 1) + runs.first
+    stop = (runs.row - low) * (width + 1) + runs.last + 1
+    texels = (high - low) * (width + 1)
+    many, once, squared = (
+        np.rint(np.cumsum(np.bincount(start, w, texels) - np.bincount(stop, w, texels))).astype(np.int64)
+        for w in (np.ones(len(runs)), label, label**2)
+    )
+    out = np.where(many > 0, once // np.maximum(many, 1), -1)
+    out[many * squared != once**2] = int(chart.max(initial=-1)) + 1
+    return out.reshape(high - low, width + 1)[:, :width]
 
 
 def _islands(meshes: Sequence[Mesh], uv: np.ndarray) -> np.ndarray:
@@ -101,7 +118,7 @@ def _islands(meshes: Sequence[Mesh], uv: np.ndarray) -> np.ndarray:
 def _close(texel: np.ndarray, padding: int) -> int:
     """Number of texels of the image `texel` (h, w), chart or -1, that have another chart in the square of `padding` texels around them."""
     free = texel < 0
-    highest, lowest = texel, np.where(free, np.iinfo(np.int64).max, texel)
+    highest, lowest = texel, np.where(free, np.iinfo(texel.dtype).max, texel)
     for axis in (0, 1):
         highest, lowest = _spread(highest, padding, axis, np.maximum), _spread(lowest, padding, axis, np.minimum)
     return int((~free & (highest != lowest)).sum())
@@ -117,19 +134,16 @@ def _spread(image: np.ndarray, width: int, axis: int, combine: np.ufunc) -> np.n
     return out
 
 
-def _world(meshes: Sequence[Mesh], uv: np.ndarray) -> World:
-    """All meshes as one object, each as large as one unit and in a cell of its own, so that places of two are never one."""
+def _shapes(meshes: Sequence[Mesh]) -> Shapes:
+    """The triangles of all meshes, each as large as one unit and in a cell of its own, so that places of two are never one."""
     side = int(np.ceil(len(meshes) ** (1 / 3)))
-    points = []
+    rows = []
     for k, mesh in enumerate(meshes):
         corner = mesh.corners()
         low, high = corner.min(axis=(0, 1)), corner.max(axis=(0, 1))
-        points.append(
-            (mesh.vertices - low) / max(float((high - low).max()), 1e-300) + 1.5 * np.array([k % side, k // side % side, k // side**2])
-        )
-    vertices, triangles = np.concatenate(points), _vertex_ids(meshes).astype(np.int32)
-    n = len(triangles)
-    none = np.zeros(n, np.int32)
-    obj = ObjectArrays("mesh", "mesh", triangle_count=n, vertex_count=len(vertices), uvs={"uv": uv}, render_uv="uv")
-    normals = np.zeros((n, 3, 3), np.float32)
-    return World(SceneArrays(vertices, triangles, normals, none.astype(bool), none, none, none, none, (Material("none"),), (obj,)))
+        corner = (corner - low) / max(float((high - low).max()), 1e-300)
+        cell = 1.5 * np.array([k % side, k // side % side, k // side**2])
+        normal = area_vectors(corner)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+        rows.append(np.concatenate([corner[:, 0] + cell, corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0], normal], axis=1))
+    return Shapes(np.concatenate(rows).astype(np.float32))
