@@ -7,6 +7,10 @@ and one uniform ambient radiance L_a stands for all interreflection:
     Bouknight   rho_a L_a + k_d sum_j Le(j) cos theta(j)                                                              (7)
     Phong       rho_a L_a + sum_j Le(j) [k_d cos theta(j) + k_s cos^n alpha(j)]                                       (8)
     Cook et al. rho_a L_a + sum_j Le(j) [k_d + k_s cos^n alpha(j)] cos theta(j) dw(j)
+    1982        rho_a L_a + sum_j Le(j) [k_d + Rs] cos theta(j) dw(j)
+
+The third line is how the review writes Cook and Torrance's model, with Phong's lobe for the highlight: here "Phong times cosine". The
+fourth has the Rs of their paper: distribution, masking and Fresnel term (`core.bsdf.cook_torrance`).
 
 In watts, the diffuse term of (7) and (8) is k_d / pi times the irradiance of the element, and the lobe cos^n alpha is scaled by
 (n + 2) / 2 pi, so that k_s is the share of light it reflects at normal incidence. Roughness r maps to n = (2 / r^4 - 2) / 4.
@@ -23,6 +27,7 @@ import numpy as np
 
 from ..adjoint_gi.core.base import settings as base
 from ..adjoint_gi.core.base.settings import setting
+from ..adjoint_gi.core.bsdf.cook_torrance import cook_torrance
 from ..adjoint_gi.core.bsdf.table import BsdfTable
 from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.lights.light_points import LightPoints, phong_lobe
@@ -37,7 +42,8 @@ from ..adjoint_gi.core.walks.paths import Gathered
 MODELS = (
     ("bouknight", "Bouknight 1970", "Diffuse reflection only, Eq. 7"),
     ("phong", "Phong 1975", "Adds a highlight around the mirror direction, without the cosine of incidence, Eq. 8"),
-    ("cook", "Cook and Torrance 1982", "The highlight times the cosine of incidence and the solid angle of the light"),
+    ("cook", "Phong times Cosine", "The form that the review gives for Cook et al.: Phong's highlight times the cosine of incidence"),
+    ("cook_torrance", "Cook and Torrance 1982", "Facets by Beckmann's distribution, with their masking and Fresnel's equations"),
 )
 
 
@@ -47,6 +53,7 @@ class LocalSettings(base.Settings):
 
     model: str = setting("cook", "Model", "Which reflection model shades the surfaces", choices=MODELS)
     ambient: float = common.ambient_radiance("all")
+    ambient_color: tuple = common.ambient_color()
     shadows: bool = setting(True, "Shadows", "Occluded light points contribute nothing")
     light_points: int = common.light_points(16)
 
@@ -71,7 +78,8 @@ class LocalIllumination(Solver):
         limits=lines("""
             No interreflection: indirect light is one constant, the ambient radiance
             Soft shadows are made of one hard shadow per light point
-            Roughness maps to the exponent (2 / r^4 - 2) / 4 of a cosine lobe; mirrors and glass reflect only highlights
+            Roughness r maps to the exponent (2 / r^4 - 2) / 4 of a cosine lobe, or to the slope r^2 of facets
+            Mirrors and glass reflect only highlights
             Light of the world arrives only through the ambient radiance
         """),
         leaves_out="interreflection",
@@ -106,13 +114,15 @@ def shade(world: World, points: LightPoints, table: BsdfTable, surface: Surface,
             # Bouknight (7) in watts: k_d / pi times the irradiance Le(j) cos theta(j) dw(j), with k_d the albedo.
             received = radiance * (cosine * solid_angle)[:, None]
             direct += received * lobes.diffuse / np.float32(np.pi)
-            # Phong (8) adds k_s Le(j) cos^n alpha(j), without the cosine of incidence; Cook et al. have the cosine here, too.
+            # Phong (8) adds k_s Le(j) cos^n alpha(j), without the cosine of incidence; the others have the cosine here, too.
             if s.model == "phong":
                 direct += radiance * solid_angle[:, None] * phong_lobe(lobes, wi)
             elif s.model == "cook":
                 direct += received * phong_lobe(lobes, wi)
+            elif s.model == "cook_torrance":
+                direct += received * cook_torrance(lobes, wi)
     # rho_a L_a.
     if s.max_length >= 2:
-        ambient = np.float32(s.ambient)
-        indirect += ambient * np.pi if wo is None else ambient * world.albedo(surface)
+        ambient = common.ambient_of(s)
+        indirect += ambient * np.float32(np.pi) if wo is None else ambient * world.albedo(surface)
     return Gathered(direct, indirect, rays)

@@ -63,6 +63,7 @@ class WhittedSettings(base.Settings):
         max=1.0,
     )
     ambient: float = common.ambient_radiance("all diffuse")
+    ambient_color: tuple = common.ambient_color()
     light_points: int = common.light_points(16)
     rough: str = setting("highlights", "Rough Lobes", "What happens to lobes that are not perfectly smooth", choices=ROUGH)
 
@@ -188,7 +189,7 @@ class MirrorTracer:
             if s.min_length <= 1 <= s.max_length:
                 direct, rays = self.points.irradiance(self.world, surface)
             if s.max_length >= 2:
-                indirect += np.float32(np.pi * s.ambient)
+                indirect += np.float32(np.pi) * common.ambient_of(s)
             return Gathered(direct, indirect, rays)
 
         # Step 1: the visible points themselves. Rows are all different here, so plain addition does.
@@ -256,7 +257,7 @@ class MirrorTracer:
             lit *= front.weight
         # rho_a L_a.
         if s.ambient > 0 and length < s.max_length:
-            ambient = np.float32(s.ambient) * front.weight * _ambient_reflectance(rest)
+            ambient = common.ambient_of(s) * front.weight * _ambient_reflectance(rest)
         # rho_s(x) Lo(y): the rays that go on to the points y.
         nexts = []
         if length <= s.depth and length <= s.max_length:

@@ -100,3 +100,15 @@ def test_a_budget_may_scale_one_number_of_samples_of_each_random_method():
     for solver in registry.methods():
         assert all(field_type(f) is int for f in dataclasses.fields(solver.Settings) if f.metadata["effort"])
         assert not names[solver.spec.id] or registry.Nature.NONDETERMINISTIC in solver.spec.natures
+
+
+def test_a_colour_may_be_given_as_three_numbers_or_as_a_grey():
+    @dataclasses.dataclass(frozen=True)
+    class Colored(Settings):
+        tint: tuple = setting((1.0, 1.0, 1.0), "Tint", "A colour", min=0.0, max=1.0)
+
+    assert Colored(tint=0.5).tint == (0.5, 0.5, 0.5) and Colored(tint=[1, 0, 0.5]).tint == (1.0, 0.0, 0.5)
+    assert Colored().replaced({"tint": "1, 0.5,0"}).tint == (1.0, 0.5, 0.0) and Colored().replaced({"tint": "0.2"}).tint == (0.2,) * 3
+    for bad in ("red", "1,2", "1,0.5,2", "nan", "0.1,0.2,0.3,0.4", "1_0"):
+        with pytest.raises(SettingsError, match="tint"):
+            Colored().replaced({"tint": bad})

@@ -7,7 +7,10 @@ from functools import partial
 
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.core.bsdf.cook_torrance import cook_torrance
+from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.lights.light_points import phong_lobe
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
 from adjgi.adjoint_gi.core.scene.world import World
@@ -112,9 +115,20 @@ def test_ambient_is_uniform_and_counts_as_indirect():
     assert (solve(world, camera, ambient=0.3, max_length=1).quantity("radiance") == 0).all()
 
 
-@pytest.mark.parametrize("model", ["bouknight", "phong", "cook"])
+@pytest.mark.parametrize("method", ["local_illumination", "whitted"])
+def test_ambient_light_has_a_colour(method):
+    """L_a of Eq. 6 to 9 for each channel: radiance times colour, on a texel and in a picture."""
+    world, camera = looking_down(floor())
+    options = {"ambient": 0.3, "ambient_color": (1.0, 0.5, 0.0)}
+    seen = solving.solve(method, world, camera, **options).quantity("radiance")
+    np.testing.assert_allclose(seen[0], [0.15, 0.075, 0.0], rtol=1e-6)
+    arrives = solving.solve(method, world, receivers_at(world, [(1, 1, 0)]), **options).indirect
+    np.testing.assert_allclose(arrives[0], np.pi * np.array([0.3, 0.15, 0.0]), rtol=1e-6)
+
+
+@pytest.mark.parametrize("model", ["bouknight", "phong", "cook", "cook_torrance"])
 def test_reflection_models(model):
-    """Eq. 7, 8 and Cook's form by hand: lamp 20 degrees beside the mirror direction."""
+    """Eq. 7, 8, the review's form for Cook et al. and the model of 1982 by hand: lamp 20 degrees beside the mirror direction."""
     roughness, ks, kd, intensity = 0.5, 0.3, 0.4, 9.0
     shiny = Material("Shiny", (Lobe("diffuse", Color.of(kd)), Lobe("glossy", Color.of(ks), roughness)))
     wo = np.array((0.6, 0, 0.8))
@@ -127,19 +141,21 @@ def test_reflection_models(model):
     alpha = math.acos(wo @ (wi * (-1, 1, 1)))
     assert math.degrees(alpha) == pytest.approx(20, abs=1e-4)
     highlight = ks * (n + 2) / (2 * math.pi) * math.cos(alpha) ** n
+    # 1982: the half vector leans by 10 degrees; a lobe of one colour has it at all angles; nothing is masked here.
+    lean, slope = math.radians(10), roughness**2
+    beckmann = math.exp(-((math.tan(lean) / slope) ** 2)) / (math.pi * slope**2 * math.cos(lean) ** 4)
+    facets = ks * beckmann / (4 * wi[2] * wo[2])
     expected = {
         "bouknight": kd / math.pi * beam * wi[2],
         "phong": beam * (kd / math.pi * wi[2] + highlight),
         "cook": beam * wi[2] * (kd / math.pi + highlight),
+        "cook_torrance": beam * wi[2] * (kd / math.pi + facets),
     }
     assert found == pytest.approx(expected[model], rel=2e-4)
 
 
 def test_phong_lobe_reflects_its_share():
     """The lobe (n + 2) / 2 pi cos^n alpha times the cosine, integrated at normal incidence, is k_s."""
-    from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
-    from adjgi.adjoint_gi.core.lights.light_points import phong_lobe
-
     for roughness in (0.3, 0.6, 0.9):
         world = World(floor(material=Material("G", (Lobe("glossy", Color.of(0.7), roughness),))).build())
         z = (np.arange(20_000) + 0.5) / 20_000
@@ -150,6 +166,55 @@ def test_phong_lobe_reflects_its_share():
         lobes = BsdfTable(world.scene).at(*at, up, np.ones(n, np.float32), up)
         total = 2 * math.pi * (phong_lobe(lobes, wi)[:, 0].astype(float) * z).mean()
         assert total == pytest.approx(0.7, rel=2e-3)
+
+
+def facets_of(lobe, wo, wi):
+    """(n,) red of Cook and Torrance's Rs for directions (n, 3) over a floor of one lobe."""
+    world = World(floor(material=Material("F", (lobe,))).build())
+    n = len(wi)
+    up = np.tile(np.array((0, 0, 1), np.float32), (n, 1))
+    at = np.zeros(n, np.int32), np.full(n, 0.2, np.float32), np.full(n, 0.2, np.float32)
+    return cook_torrance(BsdfTable(world.scene).at(*at, up, np.ones(n, np.float32), wo.astype(np.float32)), wi.astype(np.float32))[:, 0]
+
+
+def slanted(degrees):
+    angle = np.radians(np.atleast_1d(np.float64(degrees)))
+    return np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
+
+
+def test_cook_and_torrance_mask_facets_at_grazing_angles():
+    """G = 2 (n.h) (n.wo) / (wo.h) for wo at 80 and wi at 0 degrees on the other side of nothing: h leans by 40."""
+    slope = 0.6**2
+    found = facets_of(Lobe("glossy", Color.of(1.0), 0.6), slanted(80), slanted(0))[0]
+    lean = math.radians(40)
+    d = math.exp(-((math.tan(lean) / slope) ** 2)) / (math.pi * slope**2 * math.cos(lean) ** 4)
+    g = 2 * math.cos(lean) * math.cos(math.radians(80)) / math.cos(lean)
+    assert g < 0.4 and found == pytest.approx(d * g / (4 * math.cos(math.radians(80))), rel=1e-3)
+
+
+@pytest.mark.parametrize(("kind", "ior"), [("metallic", 1.0), ("specular", 1.5)])
+def test_cook_and_torrance_have_fresnels_equations(kind, ior):
+    """In the mirror direction of 75 degrees: 0.2531 at index 1.5 by Fresnel; a metal of the reflectance 0.04 is taken for that index."""
+    lobe = Lobe(kind, Color.of(0.04 if kind == "metallic" else 1.0), 0.3, ior)
+    ratio = facets_of(lobe, slanted(75), slanted(-75)) / facets_of(Lobe("glossy", Color.of(1.0), 0.3), slanted(75), slanted(-75))
+    assert ratio[0] == pytest.approx(0.2531, abs=2e-4)
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.6])
+def test_cook_and_torrances_facets_are_reciprocal_and_make_no_light(roughness):
+    """At normal incidence white facets send back nearly all that they receive."""
+    rng = np.random.default_rng(1)
+    w = rng.normal(size=(2, 2000, 3))
+    w[:, :, 2] = np.abs(w[:, :, 2]) + 0.02
+    a, b = w / np.linalg.norm(w, axis=2, keepdims=True)
+    lobe = Lobe("glossy", Color.of(1.0), roughness)
+    assert np.allclose(facets_of(lobe, a, b), facets_of(lobe, b, a), rtol=2e-3, atol=1e-5)
+    z = (np.arange(20_000) + 0.5) / 20_000
+    phi = 2 * np.pi * ((np.arange(20_000) * 0.618034) % 1)
+    wi = np.stack([np.sqrt(1 - z * z) * np.cos(phi), np.sqrt(1 - z * z) * np.sin(phi), z], axis=1)
+    for degrees, least in ((0, 0.93), (60, 0.8), (85, 0.3)):
+        total = 2 * math.pi * (facets_of(lobe, np.repeat(slanted(degrees), len(wi), axis=0), wi).astype(float) * z).mean()
+        assert least < total < 1.005
 
 
 def test_emission_is_seen_and_lengths_choose():

@@ -101,8 +101,10 @@ def settings_help() -> str:
 
 
 def _setting(f: dataclasses.Field) -> str:
-    choices = "|".join(c[0] for c in f.metadata["choices"]) or field_type(f).__name__
-    return f"  {f.name}={f.default}  ({choices}) {f.metadata['help']}"
+    color = field_type(f) is tuple
+    choices = "|".join(c[0] for c in f.metadata["choices"]) or ("R,G,B" if color else field_type(f).__name__)
+    default = ",".join(f"{x:g}" for x in f.default) if color else f.default
+    return f"  {f.name}={default}  ({choices}) {f.metadata['help']}"
 
 
 def request_of(options: argparse.Namespace) -> BakeRequest:

@@ -31,6 +31,8 @@ def blender_property(f: dataclasses.Field) -> Any:
     if kind is int:
         bounds = {key: int(np.clip(value, *INT_RANGE)) for key, value in bounds.items()}
         return bpy.props.IntProperty(default=f.default, **bounds, **words)
+    if kind is tuple:
+        return bpy.props.FloatVectorProperty(default=f.default, subtype="COLOR", **bounds, **words)
     unit = meta["unit"].lower()
     if unit in SUBTYPES:
         words |= {"subtype": unit.upper(), "unit": SUBTYPES[unit]}
@@ -62,5 +64,11 @@ def values(group: bpy.types.PropertyGroup, settings: type[Settings]) -> Settings
     out = {}
     for f in dataclasses.fields(settings):
         value = getattr(group, f.name)
-        out[f.name] = float(str(np.float32(value))) if field_type(f) is float else value
+        if field_type(f) is tuple:
+            value = tuple(_shortest(x) for x in value)
+        out[f.name] = _shortest(value) if field_type(f) is float else value
     return settings(**out)
+
+
+def _shortest(x: float) -> float:
+    return float(str(np.float32(x)))

@@ -9,6 +9,7 @@ from typing import Any
 
 from .errors import SettingsError
 
+Rgb = tuple[float, float, float]
 NO_LIMIT = 1024  # a max_length of this or more does not bound the paths
 
 
@@ -66,6 +67,9 @@ class Settings:
     )
 
     def __post_init__(self) -> None:
+        for f in fields(self):
+            if field_type(f) is tuple:
+                object.__setattr__(self, f.name, as_rgb(f, getattr(self, f.name)))
         self.validate()
 
     def validate(self) -> None:
@@ -93,23 +97,39 @@ class Settings:
 
 
 def field_type(f: dataclasses.Field) -> type:
-    """The Python type of a settings field: bool, int, float or str."""
+    """The Python type of a settings field: bool, int, float, str, or tuple of a colour."""
     return type(f.default)
+
+
+def as_rgb(f: dataclasses.Field, value: Any) -> Rgb:
+    """Three numbers, or one for a grey, as a colour; raises `SettingsError`."""
+    try:
+        rgb = tuple(float(x) for x in (value if isinstance(value, tuple | list) else (value,) * 3))
+    except (TypeError, ValueError):
+        rgb = ()
+    if len(rgb) != 3:
+        raise SettingsError(f.name, f"{value!r} is no colour", "Give three numbers, or one for a grey")
+    return rgb
 
 
 def parse(f: dataclasses.Field, text: Any) -> Any:
     """Turn `text` into the type of field `f`; raises `SettingsError` naming the field."""
     kind = field_type(f)
     if not isinstance(text, str):
-        return kind(text)
+        return as_rgb(f, text) if kind is tuple else kind(text)
     try:
         if kind is bool:
             words = {"1": True, "true": True, "yes": True, "on": True, "0": False, "false": False, "no": False, "off": False}
             return words[text.strip().lower()]
         if kind is not str and ("_" in text or not text.isascii()):  # Python reads 1_0, and digits of other scripts
             raise ValueError(text)
+        if kind is tuple:
+            parts = tuple(float(x) for x in text.strip().strip("()").split(","))
+            return parts if len(parts) > 1 else parts[0]
         return kind(text)
     except (KeyError, ValueError):
+        if kind is tuple:
+            raise SettingsError(f.name, f"cannot read {text!r} as a colour", "Give R,G,B or one number, such as 1,0.5,0.2") from None
         raise SettingsError(f.name, f"cannot read {text!r} as {kind.__name__}", f"Give a {kind.__name__}, such as {f.default!r}") from None
 
 
@@ -124,12 +144,12 @@ def check(f: dataclasses.Field, value: Any) -> None:
     names = [c[0] for c in meta["choices"]]
     if names and value not in names:
         raise SettingsError(f.name, f"{value!r} is not a choice", "Choose one of: " + ", ".join(names))
-    if kind in (int, float):
-        if value != value:
+    for number in value if kind is tuple else (value,) if kind in (int, float) else ():
+        if number != number:
             raise SettingsError(f.name, "is not a number", f"Give a value such as {f.default!r}")
-        if meta["min"] is not None and value < meta["min"]:
-            raise SettingsError(f.name, f"{value} is below {meta['min']}", f"Give at least {meta['min']}")
-        if meta["max"] is not None and value > meta["max"]:
-            raise SettingsError(f.name, f"{value} is above {meta['max']}", f"Give at most {meta['max']}")
-        if math.isinf(value):
-            raise SettingsError(f.name, f"{value} is not a finite number", f"Give a value such as {f.default!r}")
+        if meta["min"] is not None and number < meta["min"]:
+            raise SettingsError(f.name, f"{number} is below {meta['min']}", f"Give at least {meta['min']}")
+        if meta["max"] is not None and number > meta["max"]:
+            raise SettingsError(f.name, f"{number} is above {meta['max']}", f"Give at most {meta['max']}")
+        if math.isinf(number):
+            raise SettingsError(f.name, f"{number} is not a finite number", f"Give a value such as {f.default!r}")

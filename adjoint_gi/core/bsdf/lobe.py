@@ -105,6 +105,10 @@ class LobeKind(ABC):
         """Through a perfectly smooth surface: the other direction (m, 3), and the share (m,) of its light that comes through to wo."""
         return -seen.wo, np.zeros(len(seen.wo), np.float32)
 
+    def fresnel(self, seen: LobeView, cosine: np.ndarray) -> np.ndarray:
+        """(m, 3) the same in Cook and Torrance's model, which has no approximation of Fresnel's equations yet."""
+        return self.reflected(seen, cosine)
+
     def highlight_tint(self, seen: LobeView) -> np.ndarray:
         """(m, 3) strength k_s of the highlight."""
         return seen.color

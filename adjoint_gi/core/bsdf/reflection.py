@@ -69,6 +69,11 @@ class Metallic(Glossy):
         """Its mean reflectance."""
         return lobe.share * (20 / 21) + Color.of(1 / 21) * lobe.weight
 
+    def fresnel(self, seen: LobeView, cosine: np.ndarray) -> np.ndarray:
+        """By Fresnel's equations, of the index that has the colour at normal incidence (Cook and Torrance 1982)."""
+        root = np.sqrt(np.clip(seen.color, 0, np.float32(0.9999)))
+        return mf.fresnel(cosine[:, None], (1 + root) / (1 - root))
+
     def split(self, alpha: float) -> tuple[str, float]:
         """Facets of one colour."""
         return Glossy.name, alpha

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from ..base.settings import NO_LIMIT, choice, setting
 
 MOST_RAYS = 2_000_000_000  # that carry all flux, or particles
@@ -131,3 +133,13 @@ def ambient_radiance(what: str) -> Any:
     """Constant radiance in the place of light that a method leaves out."""
     help = f"Uniform radiance that stands for {what} indirect light, W/m2/sr"
     return setting(0.0, "Ambient Radiance", help, min=0.0, max=1e9, soft_max=10.0)
+
+
+def ambient_color() -> Any:
+    """Its colour."""
+    return setting((1.0, 1.0, 1.0), "Ambient Color", "Colour of the ambient radiance, which it multiplies", min=0.0, max=1.0)
+
+
+def ambient_of(settings: Any) -> np.ndarray:
+    """L_a of Eq. 6 to 9, (3,) float32 W m-2 sr-1."""
+    return np.float32(settings.ambient) * np.array(settings.ambient_color, np.float32)
