@@ -200,6 +200,48 @@ BUGS = (
         "default_rng([11, index])",
         "tests/methods/test_irradiance_cache.py -k seed",
     ),
+    Bug(
+        "lobes do not weigh what their weight says",
+        "adjoint_gi/core/bsdf/table.py",
+        "        value[rows] += f * lobes.slots[i].weight[rows, None]",
+        "        value[rows] += f",
+        "tests/core/test_mixes.py -k shares",
+    ),
+    Bug(
+        "a coat dims the bases of other nodes, too",
+        "adjoint_gi/core/bsdf/coat.py",
+        "            below.append(sum((c for s, c in others if s == stack), Color()))",
+        "            below.append(sum((c for s, c in others), Color()))",
+        "tests/core/test_mixes.py -k own_base",
+    ),
+    Bug(
+        "elements pair no coats and bases",
+        "adjoint_gi/core/directional/scattering.py",
+        "            dims.append(-dim)",
+        "            dims.append(-np.ones_like(dim))",
+        "tests/core/test_mixes.py -k pair_coats",
+    ),
+    Bug(
+        "black metal is dropped",
+        "adjoint_gi/core/scene/arrays.py",
+        "(self.color.is_black and self.kind not in WHITE_AT_GRAZING)",
+        "self.color.is_black",
+        "tests/core/test_mixes.py -k black",
+    ),
+    Bug(
+        "index squared on the wrong side in direction bins",
+        "adjoint_gi/core/directional/scattering.py",
+        "measure = np.array([1.0, ior * ior if lobe.refracts else 1.0])",
+        "measure = np.array([ior * ior if lobe.refracts else 1.0, 1.0])",
+        "tests/core/test_mixes.py -k basic_radiance",
+    ),
+    Bug(
+        "Cook and Torrance without masking",
+        "adjoint_gi/core/bsdf/cook_torrance.py",
+        "scale = lobes.slots[i].weight[rows] * d * g /",
+        "scale = lobes.slots[i].weight[rows] * d /",
+        "tests/methods/test_local_illumination.py -k mask",
+    ),
 )
 
 

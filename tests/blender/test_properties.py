@@ -52,6 +52,16 @@ def test_assign_and_values_are_inverse(state):
     assert properties.settings_of(bpy.context.scene, "fake") == wanted
 
 
+def test_colours_come_back_as_they_were_written_and_old_names_of_models_stay(state):
+    group = state.settings_local_illumination
+    group.ambient_color, group.ambient = (0.1, 0.7, 0.0123), 0.3
+    found = properties.settings_of(bpy.context.scene, "local_illumination")
+    assert found.ambient_color == (0.1, 0.7, 0.0123) and found.ambient == 0.3
+    for old in ("bouknight", "phong", "cook"):
+        group.model = old
+        assert properties.settings_of(bpy.context.scene, "local_illumination").model == old
+
+
 def test_contradicting_settings_raise(state):
     state.settings_fake.min_length, state.settings_fake.max_length = 5, 2
     with pytest.raises(SettingsError, match="min_length"):

@@ -200,6 +200,23 @@ def test_a_mix_by_a_texture_is_at_every_point_the_mix_of_its_factor():
     assert np.allclose(leaving(mix(factor), image, 0.5), halves, rtol=0.02)
 
 
+@pytest.mark.parametrize("roughness", [0.0, 0.4])
+@pytest.mark.parametrize("kind", ["glass", "refraction"])
+def test_elements_with_directions_pass_basic_radiance_through_glass(kind, roughness):
+    """With the square of the index, 1 outside and 2.25 inside, their matrices are reciprocal; white glass in a furnace sends 1 both ways,
+    and what passes a boundary that reflects nothing is, from inside, what arrives within the critical angle: a share of 1 / 2.25."""
+    world, bins = World(scene_of([Lobe(kind, C(1.0), roughness, 1.5, multiscatter=True)])), Bins(4, 8)
+    scattering = Scattering.ready(Elements(world, 2.0), bsdf.BsdfTable(world.scene), bins, 1 << 15)
+    x, y = np.random.default_rng(1).random((2, 2 * scattering.count, bins.size, 3))
+    measure = np.tile([1.0, 2.25], scattering.count)[:, None, None]
+    assert (measure * y * scattering.apply(x)).sum() == pytest.approx((measure * x * scattering.apply(y)).sum(), rel=1e-5)
+    out, back = scattering.apply(np.ones_like(x))[:2].mean(axis=(1, 2))
+    if kind == "glass":
+        assert (out, back) == pytest.approx((1.0, 1.0), abs=0.01 if roughness == 0 else 0.03)
+    elif roughness == 0:
+        assert (out, back) == pytest.approx((1.0, 1 / 2.25), rel=0.02)
+
+
 def test_what_has_no_weight_is_black():
     for lobe in (Lobe("metallic", C(0.5), weight=0.0), Lobe("glossy", C(0.0)), Lobe("metallic", C(0.0), weight=Color())):
         assert lobe.is_black
