@@ -107,6 +107,8 @@ class IrradianceCache(Solver):
                         text = f"{len(state.records.radius):,} cached values, pass of every {stride}"
                         yield from run.clock.pause(Step(min(0.8, 0.8 * share / stride), text, run.solution))
 
+        run.indirect_tail = state.tail / max(state.seen, 1e-300)
+
         # Step 2: fd * irradiance at every receiver. The index does not change any more, so threads may share it.
         def estimate(surface: Surface, wo: np.ndarray | None, generator: np.random.Generator) -> Gathered:
             direct, noise, rays = state.direct(surface, generator)
@@ -126,6 +128,7 @@ class CacheRun:
         self.rows = max(4, round((settings.rays / np.pi) ** 0.5))
         self.cols = max(4, round(settings.rays / self.rows))
         self.records = Records.empty()
+        self.seen, self.tail = 0.0, np.zeros(2)  # radiance that records have seen, summed, and of it that in the blocks of `path_limit`
         self.index = RecordIndex(self.records, settings.accuracy, 1.01 * world.size)
 
     def direct(self, surface: Surface, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, int]:
@@ -166,23 +169,25 @@ class CacheRun:
         blocks = [pick[a : a + RECORDS_PER_BLOCK] for a in range(0, len(pick), RECORDS_PER_BLOCK)]
         first = len(self.records.radius)
 
-        def make(item: tuple[int, np.ndarray]) -> tuple[Records, int]:
+        def make(item: tuple[int, np.ndarray]) -> tuple[Records, int, np.ndarray]:
             index, block = item
             generator = np.random.Generator(np.random.SFC64([*self.seed, first + index * RECORDS_PER_BLOCK]))
             return self._make(surface.take(block), generator)
 
-        for records, rays in in_order(make, enumerate(blocks)):
+        for records, rays, tail in in_order(make, enumerate(blocks)):
             self.records = self.records.joined(records)
             run.rays += rays
+            self.tail += tail
+            self.seen += float(records.irradiance.sum(dtype=np.float64)) / np.pi * self.rows * self.cols
             yield 0.0
         self.index = RecordIndex(self.records, self.settings.accuracy, 1.01 * self.world.size)
 
-    def _make(self, surface: Surface, rng: np.random.Generator) -> tuple[Records, int]:
-        """Records at some points, and the rays cast for them."""
+    def _make(self, surface: Surface, rng: np.random.Generator) -> tuple[Records, int, np.ndarray]:
+        """Records at some points, the rays cast for them, and the tail (2,) of the radiance that these see."""
         s, size = self.settings, self.world.extent
         x, y = frame_rows(surface.ns)
         local, _ = hemisphere(self.rows, self.cols, rng, len(x))
-        radiance, distance, rays = self._look(surface, local, x, y, rng)
+        radiance, distance, rays, tail = self._look(surface, local, x, y, rng)
         # int Lr cos dw: directions are drawn by the cosine, so it is pi times the mean. It holds as far as the harmonic mean distance.
         irradiance, spread = radiance.mean(axis=(1, 2)) * np.float32(np.pi), halves(radiance) * np.float32(np.pi)
         radius = 1 / (1 / distance).mean(axis=(1, 2))
@@ -195,13 +200,13 @@ class CacheRun:
         radius = np.clip(radius, s.min_spacing * size / s.accuracy, 2 * size).astype(np.float32)
         # Where the least spacing makes records reach further than that, they are extrapolated less.
         translation = translation * np.minimum(1, bound / radius)[:, None, None].astype(np.float32)
-        return Records(surface.position, surface.ns, irradiance.astype(np.float32), spread, radius, rotation, translation), rays
+        return Records(surface.position, surface.ns, irradiance.astype(np.float32), spread, radius, rotation, translation), rays, tail
 
     def _look(
         self, surface: Surface, local: np.ndarray, x: np.ndarray, y: np.ndarray, rng: np.random.Generator
-    ) -> tuple[np.ndarray, np.ndarray, int]:
+    ) -> tuple[np.ndarray, np.ndarray, int, np.ndarray]:
         """What points see along directions `local` (n, rows, cols, 3) of their frames: reflected radiance (n, rows, cols, 3) by a random
-        walk, distance (n, rows, cols), and the rays cast."""
+        walk, distance (n, rows, cols), the rays cast, and the tail (2,) of the radiance."""
         world, shape = self.world, local.shape[:3]
         d = local[..., :1] * x[:, None, None] + local[..., 1:2] * y[:, None, None] + local[..., 2:] * surface.ns[:, None, None]
         direction = np.ascontiguousarray(d.reshape(-1, 3), np.float32)
@@ -216,4 +221,5 @@ class CacheRun:
         radiance, distance = np.zeros((len(direction), 3), np.float32), np.full(len(direction), 4 * world.extent, np.float32)
         radiance[hit] = found.indirect
         distance[hit] = np.maximum(t[hit], np.float32(1e-6 * world.extent))
-        return radiance.reshape(*shape, 3), distance.reshape(shape), len(direction) + found.rays
+        tail = np.zeros(2) if found.tail is None else found.tail.sum(axis=1, dtype=np.float64)
+        return radiance.reshape(*shape, 3), distance.reshape(shape), len(direction) + found.rays, tail

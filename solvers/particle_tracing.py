@@ -39,6 +39,7 @@ from ..adjoint_gi.core.method.registry import NONDETERMINISTIC, SHOOTING, Method
 from ..adjoint_gi.core.method.solution import Solution, Step
 from ..adjoint_gi.core.receivers.base import Receivers, SurfaceReceivers
 from ..adjoint_gi.core.scene.world import World
+from ..adjoint_gi.core.walks import path_limit
 from ..adjoint_gi.core.walks.particles import Hits, walk
 
 MIN_PARTICLES_PER_BATCH, MAX_PARTICLES_PER_BATCH = 1 << 10, 1 << 15  # particles in a batch
@@ -131,6 +132,8 @@ class ParticleTracing(Solver):
                     )
         if at_receivers(receivers, settings):
             shot.warnings += empty_notices(self.spec.label, shot.tally)
+        shot.left_out = path_limit.left_out(shot.tally.ends.tail, shot.tally.ends.arrived)
+        shot.warnings += path_limit.notices(shot.left_out, settings.max_length)
         shot.partial = False
         yield from shot.clock.last(Step(1.0, f"{shot.tally.count:,} particles", shot.solution))
 
@@ -151,6 +154,7 @@ class ParticleRun:
         self.tally = Tally(self.score.count, len(self.emission.names))
         self.warnings = world.scene.warnings + notices(world, self.emission) + camera_notices(world, receivers, settings)
         self.partial = True
+        self.left_out: float | None = None
         # Each batch has random numbers of its own.
         self.sizes = batch_sizes(0 if self.emission.is_dark else settings.particles, self.score.count)
         self.seeds = rng.integers(0, 1 << 63, 4).tolist()
@@ -187,6 +191,7 @@ class ParticleRun:
             **arrays,
             rays=tally.ends.rays + rays,
             balance=tally.balance(),
+            left_out=self.left_out,
             warnings=self.warnings,
             settings=self.settings.as_dict(),
             partial=self.partial,

@@ -42,6 +42,7 @@ from ..adjoint_gi.core.two_pass.extended_factors import ExtendedTransport
 from ..adjoint_gi.core.two_pass.known_light import KnownLight, lengths_of
 from ..adjoint_gi.core.two_pass.outside_light import OutsideLight
 from ..adjoint_gi.core.two_pass.view_pass import View, estimator
+from ..adjoint_gi.core.walks import path_limit
 from ..adjoint_gi.core.walks.gathering import SAMPLES_PER_BATCH, Run
 from ..adjoint_gi.core.walks.mirror_chains import Chains
 from ..adjoint_gi.core.walks.paths import Walk
@@ -120,6 +121,7 @@ class TwoPass(Solver):
             yield from run.clock.pause(Step(FIRST_PASS_SHARE * share, text, run.solution))
         run.rays += first.rays
         run.warnings += first.warnings
+        run.left_out = first.left_out()
         known = first.known()
 
         # 2. View pass: L = Le + T L (Eq. 1), via mirrors and glossy surfaces to diffuse ones, whose B is known.
@@ -199,6 +201,18 @@ class FirstPass:
         if residual > s.tolerance:
             reason = f"the first pass stopped after {s.max_iterations} iterations at a relative change of {residual:.1e}"
             self.warnings += (Notice("Two-Pass", reason, "Raise max_iterations or the tolerance, or lower albedos that are close to 1"),)
+
+    def left_out(self) -> float:
+        """The share of the light that is longer than the longest path."""
+        s, flux = self.settings, [float((self.transport.area @ h).sum()) for h in self.by_length]
+        if self.total is not None:
+            return 0.0
+        tail = np.zeros(2)
+        for length, light in enumerate(flux):
+            block = path_limit.block_of(length, s.min_length, s.max_length)
+            if block is not None:
+                tail[block] += light
+        return path_limit.left_out(tail, sum(flux[max(1, s.min_length) :]))
 
     def known(self) -> KnownLight:
         """What was found, for the view pass."""

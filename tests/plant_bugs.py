@@ -242,6 +242,13 @@ BUGS = (
         "scale = lobes.slots[i].weight[rows] * d /",
         "tests/methods/test_local_illumination.py -k mask",
     ),
+    Bug(
+        "white rooms cut after 64 segments",
+        "adjoint_gi/core/walks/path_limit.py",
+        "LONGEST = 4096",
+        "LONGEST = 64",
+        "tests/methods/test_path_limit.py",
+    ),
 )
 
 

@@ -266,12 +266,12 @@ def test_path_lengths_that_differ_are_said(methods, place):
     plan = Plan(("exact", "counting", "later"), Budget("time", 0.3), "counting", 0.2, settings, repeats=2)
     result = compare(place, plan)
     exact, counting, later = result.entries
-    assert [e.lengths for e in result.entries] == [(2, 64), (1, 64), (1, 64)]
-    assert any("the reference 1 to 64: its error holds that difference" in n.reason for n in exact.notices)
+    assert [e.lengths for e in result.entries] == [(2, 1024), (1, 1024), (1, 1024)]
+    assert any("the reference 1 and more: its error holds that difference" in n.reason for n in exact.notices)
     assert not any("its error holds" in n.reason for n in (*counting.notices, *later.notices))
     assert page.gap_of(result, exact) is None
     data = json.loads(json.dumps(page.as_json(result), allow_nan=False))
-    assert [m["lengths"] for m in data["methods"]] == [[2, 64], [1, 64], [1, 64]]
+    assert [m["lengths"] for m in data["methods"]] == [[2, 1024], [1, 1024], [1, 1024]]
     assert [m["gap"] is None for m in data["agreement"]["methods"]] == [True, False, False]
     text = page.page("x", result, {}, [])
     assert "Not compared: path lengths 2 and more (Exact) with" in text and "nan" not in text

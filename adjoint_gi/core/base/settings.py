@@ -58,11 +58,11 @@ class Settings:
         0, label="Min Path Length", help="Shortest light path that counts: 0 is own emission, 1 direct light, 2 one bounce", min=0, max=1024
     )
     max_length: int = setting(
-        64,
+        NO_LIMIT,
         label="Max Path Length",
-        help="Longest light path that counts: 1 is direct light only, 2 adds one bounce",
+        help="Longest light path that counts: 1 is direct light only, 2 adds one bounce; 1024 is no limit",
         min=0,
-        max=1024,
+        max=NO_LIMIT,
         soft_max=64,
     )
 

@@ -312,8 +312,7 @@ class Plan:
 
 
 def lengths_counted(settings: Settings, measure: str) -> tuple[int, int]:
-    """The shortest and longest path that a method counts; own emission is no part of irradiance. Methods have different longest paths where
-    nothing is set, all so long that they are taken as alike."""
+    """The shortest and longest path that a method counts; own emission is no part of irradiance."""
     return (max(settings.min_length, int(measure == "irradiance")), min(settings.max_length, EVERY_LENGTH[1]))
 
 

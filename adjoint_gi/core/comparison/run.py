@@ -25,6 +25,7 @@ from ..method.registry import Solver, method
 from ..method.solution import Solution, Step
 from ..receivers.base import Receivers
 from ..scene.world import World
+from ..walks.path_limit import TOLD
 from .budget import (
     Budget,
     Entry,
@@ -289,9 +290,11 @@ class _Stages:
         if meter.state == "finished":
             notices += filter(None, [unused_budget(solver.spec.label, effort.settings, meter.seconds, self.plan.budget)])
         lengths = self._lengths(solver)
+        if found.left_out is not None and found.left_out < TOLD and lengths[1] > 2:
+            lengths = (lengths[0], EVERY_LENGTH[1])  # it has all the light there is
         if self.reference_lengths not in (None, lengths):
             (a, b), (c, d) = lengths, self.reference_lengths
-            reason = f"counts path lengths {a} to {b}, the reference {c} to {d}: its error holds that difference"
+            reason = f"counts path lengths {_range(a, b)}, the reference {_range(c, d)}: its error holds that difference"
             notices.append(Notice(solver.spec.label, reason, "Give both methods the same min_length and max_length"))
         return Entry(
             solver.spec.id,
@@ -358,3 +361,8 @@ class _Stages:
         error = entry.fluxes.std(axis=0, ddof=1) / math.sqrt(k)
         value = entry.fluxes.mean(axis=0)
         return Measured(entry.method, entry.label, value, error, k - 1, allowance_of(spec), *stated)
+
+
+def _range(low: int, high: int) -> str:
+    """Path lengths in words."""
+    return f"{low} to {high}" if high < EVERY_LENGTH[1] else f"{low} and more"

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.settings import Settings
+from ..base.settings import NO_LIMIT
 from ..bsdf.table import BsdfTable
 from ..lights.emission import Emission
 from ..method.registry import MethodSpec
@@ -35,7 +35,7 @@ TEXELS = 0.01  # relative error of the flux of an object from its values at the 
 EDGE = -0.75  # power of the number n of points for what a shadow's edge adds: it splits the areas of about n^(1/2) points at random
 FEW = 3  # degrees of freedom (of 4 repeats) below which noise is hardly known
 LOUD = ("DISAGREE", "Too few repeats")  # how lines begin that must not be overlooked
-EVERY_LENGTH = (0, Settings().max_length)  # shortest and longest path; longer ones carry next to nothing
+EVERY_LENGTH = (0, NO_LIMIT)  # shortest and longest path
 MUCH = 0.1  # relative difference that should not pass as noise then
 ROUNDING = 1e-5  # float32 sums
 PARTICLES_PER_BATCH = 1 << 14

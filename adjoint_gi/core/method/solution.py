@@ -55,6 +55,7 @@ class Solution:
     rays: int = 0
     seconds: float = 0.0  # of work up to this step; the time in which its consumer held a step is none (`method.clock`)
     balance: EnergyBalance | None = None
+    left_out: float | None = None  # share of the light that a longest path leaves out, estimated (`walks.path_limit`); None: not known
     emitted_flux: float = 0.0  # of lamps and surfaces, W, channels summed; for gathering methods, which have no balance
     history: tuple[tuple[float, float], ...] = ()  # (seconds of work, residual, unshot share or relative standard error)
     warnings: tuple[Notice, ...] = ()

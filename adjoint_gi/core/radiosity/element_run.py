@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..base.errors import Notice
-from ..base.settings import Settings
+from ..base.settings import NO_LIMIT, Settings
 from ..elements.answer import ElementAnswer, Parts, elements_for
 from ..lights.emitters import Emitters
 from ..method.clock import Clock
@@ -20,6 +20,7 @@ from ..method.registry import Solver
 from ..method.solution import EnergyBalance, Solution, Step
 from ..receivers.base import Receivers
 from ..scene.world import World
+from ..walks import path_limit
 from .lamp_light import LampLight, dark_notices, receiver_light
 from .settings import RadiositySettings
 
@@ -105,13 +106,16 @@ class ElementRun:
 
         def solution() -> Solution:
             found = find(partial)
+            longest = getattr(self.settings, "max_length", NO_LIMIT)
+            left_out = None if partial else path_limit.left_unshot(found.balance, longest)
             return Solution(
                 self.spec.id,
                 self.receivers.measure,
                 **{**found.parts.arrays(), "extra": {**found.parts.extra, **found.extra}},
                 rays=found.rays,
                 balance=found.balance,
-                warnings=warnings,
+                left_out=left_out,
+                warnings=warnings + path_limit.notices(left_out, longest),
                 settings=self.settings.as_dict(),
                 partial=partial,
             )

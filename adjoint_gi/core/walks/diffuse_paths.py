@@ -142,7 +142,8 @@ class PathTracer:
             spoiled = int(bad.sum())
             lit[:, :, bad] = 0
         parts = [a if a is None else a.reshape(3, -1, samples).sum(axis=2).T for a in (lit[0], lit[1], emitted, albedo)]
-        return Sums(first, last, samples, *parts, rays, spoiled)
+        tail = None if found.tail is None else np.where(np.isfinite(found.tail), found.tail, 0).sum(axis=1, dtype=np.float64)
+        return Sums(first, last, samples, *parts, rays, spoiled, tail=tail)
 
     def _see(
         self, points: object, rows: np.ndarray | slice, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, emitted: np.ndarray

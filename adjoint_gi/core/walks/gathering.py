@@ -23,6 +23,7 @@ from ..method.solution import EnergyBalance, Solution, Step
 from ..receivers.base import Points, Receivers
 from ..receivers.film import Film, read_surfaces
 from ..scene.world import Surface, World
+from . import path_limit
 from .paths import Gathered
 
 SAMPLES_PER_BATCH = 1 << 14  # samples in a batch
@@ -38,7 +39,7 @@ class Sums:
     """Sums over the samples of receivers `first` to `last`, each (m, 3); emitted and albedo only of camera receivers.
 
     samples: of each receiver, one number or (m,). spoiled: how many were not numbers and count as 0. spread (m, 3): of one half of the
-    random numbers less both, where it is known.
+    random numbers less both, where it is known. tail (2,): of all of them in the blocks of `path_limit`.
     """
 
     first: int
@@ -51,6 +52,7 @@ class Sums:
     rays: int
     spoiled: int = 0
     spread: np.ndarray | None = None
+    tail: np.ndarray | None = None
 
 
 # Makes the sums of (first receiver, last, samples, index of the first sample).
@@ -76,6 +78,9 @@ class Run:
         self.film = Film(self.receivers)
         self.surfaces: dict[str, np.ndarray] = {}
         self._spoiled = 0
+        self.tail = np.zeros(2)  # of the sums of direct and indirect light, that in the blocks of `path_limit`
+        self.indirect_tail = np.zeros(2)  # the same as shares of indirect light, for methods that know only these
+        self.left_out: float | None = None  # by methods that know it otherwise
         self.extra: dict[str, np.ndarray] = {}
         self.warnings = self.world.scene.warnings + self.world.shading.substitutions(self.spec.lobes) + self.warnings
 
@@ -166,8 +171,16 @@ class Run:
     def finish(self, text: str) -> Iterator[Step]:
         """Read what only a finished picture gets, and yield the last step."""
         yield from self._rest(self._reading(self.is_camera), 1.0)
+        if self.left_out is None:
+            self.left_out = self._left_out()
+        self.warnings += path_limit.notices(self.left_out, self.settings.max_length)
         self.partial = False
         yield from self.clock.last(Step(1.0, text, self.solution))
+
+    def _left_out(self) -> float:
+        """The share of the light that the longest path leaves out."""
+        film = self.film
+        return path_limit.left_out(self.tail + self.indirect_tail * film.indirect.sum(), float((film.direct + film.indirect).sum()))
 
     def _reading(self, wanted: bool) -> Iterator[float]:
         """Reads what receivers are made of, where `wanted`: of a camera that is normals and depths, which only a finished picture gets."""
@@ -205,7 +218,8 @@ class Run:
         else:
             sums += [None, None]
         spread = None if found.spread is None else total(np.where(np.isfinite(found.spread), found.spread, 0), owner[on])
-        return Sums(first, last, many, *sums, points.rays + found.rays, spread=spread)
+        tail = None if found.tail is None else np.where(np.isfinite(found.tail), found.tail, 0).sum(axis=1, dtype=np.float64)
+        return Sums(first, last, many, *sums, points.rays + found.rays, spread=spread, tail=tail)
 
     def _add(self, sums: Sums) -> None:
         part = slice(sums.first, sums.last)
@@ -214,6 +228,8 @@ class Run:
             self.film.emitted[part] += sums.emitted
             self.film.albedo[part] += sums.albedo
         self.rays += sums.rays
+        if sums.tail is not None:
+            self.tail += sums.tail
         if sums.spoiled:
             self._spoiled += sums.spoiled
             text = f"{self._spoiled} samples were not numbers and count as 0"
@@ -243,6 +259,7 @@ class Run:
             weight,
             rays=self.rays,
             balance=self.balance,
+            left_out=self.left_out,
             emitted_flux=float(self.emitters.power.sum()),
             warnings=self.warnings,
             settings=self.settings.as_dict(),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from ..lights.emission import Particles
 from ..sampling.maps import cosine_directions
 from ..scene.arrays import RayKind
 from ..scene.world import Surface, World
+from .path_limit import block_of, longest
 from .radiance import leaving
 from .shooting import Arrived, Departed, Flight, shoot
 
@@ -45,7 +46,7 @@ class Ends:
 
     What is absorbed is what does not go on, whatever ended the walk: lobes whose sampled share exceeds 1 make a particle stronger, and
     then it is negative. `gained` is what shading normals added, or took where it is negative: they bend the cosine law, which keeps
-    the result right but not the power of a particle.
+    the result right but not the power of a particle. arrived: power that arrives, at all hits; tail: of it in the blocks of `path_limit`.
     """
 
     emitted: int = 0
@@ -57,7 +58,16 @@ class Ends:
     escaped_energy: float = 0.0
     cut_energy: float = 0.0
     gained: float = 0.0
+    arrived: float = 0.0
+    tail: np.ndarray = field(default_factory=lambda: np.zeros(2))
     rays: int = 0
+
+    def note(self, length: int, max_length: int, power: float) -> None:
+        """Add what arrives after `length` segments."""
+        self.arrived += power
+        block = block_of(length, 1, max_length)
+        if block is not None:
+            self.tail[block] += power
 
     def add(self, other: Ends, factor: float = 1.0) -> None:
         """Add the walks of another batch, its energies times `factor`."""
@@ -78,7 +88,8 @@ def walk(
 
     The walk is analog: at a hit a particle is absorbed, or scattered with all its power. The probability to go on is the share of
     its power that the surface scatters (diffuse: the albedo averaged by the particle's colours), and its colours change in
-    proportion, so that each colour is right in expectation. A particle that would fly on after `max_length` segments is cut.
+    proportion, so that each colour is right in expectation. A particle that would fly on after `max_length` segments is cut, which does
+    not bound them from NO_LIMIT on.
 
     `table` scatters by all lobes of the scene; without it every surface is diffuse with the albedo of `world.albedo`.
     `importance`: the particles come from a receiver, against the light: shading normals act as they do on a path of radiance, and
@@ -88,7 +99,7 @@ def walk(
     flight = Flight(particles.origin, particles.direction, particles.kind, particles.weight)
     alive, energy = len(particles.weight), _energy(particles.weight)
     ends = Ends(emitted=alive, emitted_energy=energy)
-    for segment in shoot(world, flight, max_length, scatter, rng, particles.dark, particles.reach):
+    for segment in shoot(world, flight, longest(max_length), scatter, rng, particles.dark, particles.reach):
         at, out = segment.arrived, segment.scattered
         visit(Hits(at.segments, at.surface, out.arriving, out.leaving, segment.row))
         ends.rays += segment.rays
@@ -98,6 +109,7 @@ def walk(
         ends.escaped_energy += _energy(segment.lost)
         ends.absorbed_energy += _energy(at.weight) - energy + out.gained
         ends.gained += out.gained
+        ends.note(at.segments, max_length, _energy(out.arriving))
     ends.cut, ends.cut_energy = alive, energy
     return ends
 

@@ -16,6 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ..base.settings import NO_LIMIT
 from ..bsdf import table as bsdf
 from ..lights import direct
 from ..lights.direct import Emitted, Hit
@@ -23,6 +24,7 @@ from ..lights.emitters import Emitters
 from ..sampling.maps import ONE
 from ..scene.faces import Faces
 from ..scene.world import World
+from .path_limit import FAINT, block_of, longest
 
 NEVER = 1 << 30  # as `Walk.roulette_from`: no path is as long, so roulette is off
 
@@ -53,7 +55,8 @@ def russian_roulette(
 class Walk:
     """What a walk needs besides its start.
 
-    min_length, max_length: path lengths that count. roulette_from: segments after which paths end at random, with the chance `survival`.
+    min_length, max_length: path lengths that count, NO_LIMIT for all.
+    roulette_from: segments after which paths end at random, with the chance `survival`.
     draw_lights, meet_lights: use light points; use what BSDF rays meet. With both, each is weighted; with one, it stands alone.
     uniform: draw directions evenly over the sphere instead of by the BSDF (mirrors still by theirs): what importance sampling saves.
     emission: emitted radiance of triangles, for emission that is not the same in all directions, as in a Kirchhoff cavity; light points
@@ -64,7 +67,7 @@ class Walk:
     emitters: Emitters
     table: bsdf.BsdfTable
     min_length: int = 0
-    max_length: int = 64
+    max_length: int = NO_LIMIT
     roulette_from: int = 3
     draw_lights: bool = True
     meet_lights: bool = True
@@ -76,6 +79,20 @@ class Walk:
     def faces(self) -> Faces:
         """Tables of the triangles."""
         return Faces(self.world)
+
+    @cached_property
+    def longest(self) -> int:
+        """Segments of the longest path."""
+        return longest(self.max_length)
+
+    @cached_property
+    def faintest(self) -> np.float32:
+        """Weight at which paths end: 0, or next to nothing where neither roulette nor a length ends them."""
+        return FAINT if self.roulette_from == NEVER and self.max_length >= NO_LIMIT else np.float32(0)
+
+    def block(self, length: int) -> int | None:
+        """Which block of `path_limit` light of `length` belongs to."""
+        return block_of(length, self.min_length, self.max_length)
 
     @cached_property
     def draws(self) -> bool:
@@ -93,21 +110,26 @@ class Walk:
 class Gathered:
     """Radiance towards `wo`, (n, 3) float32: `direct` of path length 1, `indirect` of more; rays cast.
 
-    spread (n, 3): the estimate by one half of the random numbers less that by both, where a method knows it.
+    spread (n, 3): the estimate by one half of the random numbers less that by both, where a method knows it. tail (2, n): of the light,
+    channels summed, that in the blocks of `path_limit`; None where no path came near the limit.
     """
 
     direct: np.ndarray
     indirect: np.ndarray
     rays: int
     spread: np.ndarray | None = None
+    tail: np.ndarray | None = None
 
-    def times(self, factor: np.float32) -> Gathered:
-        """The same light times `factor`."""
-        return Gathered(self.direct * factor, self.indirect * factor, self.rays, None if self.spread is None else self.spread * factor)
+    def times(self, factor: np.float32 | np.ndarray) -> Gathered:
+        """The same light times `factor`, one or (n, 3)."""
+        spread = None if self.spread is None else self.spread * factor
+        tail = None if self.tail is None else self.tail * (np.mean(factor, axis=-1) if np.ndim(factor) else factor)
+        return Gathered(self.direct * factor, self.indirect * factor, self.rays, spread, tail)
 
     def plus(self, other: Gathered) -> Gathered:
         """Both together, at the same points."""
-        return Gathered(self.direct + other.direct, self.indirect + other.indirect, self.rays + other.rays)
+        tail = self.tail if other.tail is None else other.tail if self.tail is None else self.tail + other.tail
+        return Gathered(self.direct + other.direct, self.indirect + other.indirect, self.rays + other.rays, tail=tail)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +192,7 @@ class Paths:
         self.weight = np.full((3, vertices.count), weight) if np.ndim(weight) == 0 else weight
         self.row = np.arange(vertices.count)
         self.direct, self.indirect = np.zeros((2, 3, vertices.count), np.float32)
+        self.tail: np.ndarray | None = None
         self.carried: dict[str, np.ndarray] = {}
         self.rays = 0
         self.ray: Ray | None = None
@@ -178,7 +201,7 @@ class Paths:
     @property
     def alive(self) -> bool:
         """Whether any path goes on."""
-        return len(self.row) > 0 and self.length <= self.walk.max_length
+        return len(self.row) > 0 and self.length <= self.walk.longest
 
     @property
     def counts(self) -> bool:
@@ -199,7 +222,7 @@ class Paths:
             self.take(ray.rows)
         if ray.weight is not None:
             self.weight = self.weight * ray.weight
-        last = self.length == self.walk.max_length
+        last = self.length == self.walk.longest
         if not len(self.row) or (last and not (self.counts and self.walk.meets)):
             return False
         self.hit = self.walk.world.intersect(ray.origin.T, ray.wi.T, ray.kind)
@@ -218,7 +241,7 @@ class Paths:
         walk, hit = self.walk, self.hit
         rows = np.flatnonzero(hit[0] >= 0)
         luck = self.rng.random(len(rows), np.float32) if self.length >= walk.roulette_from else None
-        if self.length == walk.max_length:
+        if self.length == walk.longest:
             self.take(rows[:0])
             return
         weight = self.weight.take(rows, axis=1)
@@ -227,7 +250,7 @@ class Paths:
             weight = weight * reflectance
         strength = weight.max(axis=0) * self.unit
         if luck is None:
-            survive = np.flatnonzero(strength > 0)
+            survive = np.flatnonzero(strength > walk.faintest)
             weight = weight.take(survive, axis=1)
         else:
             survive, chance = russian_roulette(strength, luck, walk.survival)
@@ -262,15 +285,28 @@ class Paths:
         if scale is not None:
             value *= scale
         add(self.indirect if indirect or self.length > 1 else self.direct, self.row.take(rows), value)
+        block = self.walk.block(self.length)
+        if block is not None:
+            self._note(block, self.row.take(rows), value.sum(axis=0))
+
+    def _note(self, block: int, rows: np.ndarray, light: np.ndarray) -> None:
+        """Add light (m,) of starts `rows` (m,), none of them twice, to a block of the tail."""
+        if self.tail is None:
+            self.tail = np.zeros((2, self.direct.shape[1]), np.float32)
+        self.tail[block][rows] += light
 
     def collect_from(self, found: Gathered) -> None:
         """Add what other walks from the vertices of these paths have found there."""
-        self.collect(np.arange(len(self.row)), found.indirect.T.copy())
+        light = found.indirect.T * self.weight
+        add(self.indirect, self.row, light)
+        if found.tail is not None:
+            for block, part in enumerate(found.tail):
+                self._note(block, self.row, part * self.weight.mean(axis=0))
         self.rays += found.rays
 
     def gathered(self) -> Gathered:
         """What was found, in rows."""
-        return Gathered(self.direct.T, self.indirect.T, self.rays)
+        return Gathered(self.direct.T, self.indirect.T, self.rays, tail=self.tail)
 
 
 def add(target: np.ndarray, rows: np.ndarray, value: np.ndarray) -> None:
