@@ -249,6 +249,13 @@ BUGS = (
         "LONGEST = 64",
         "tests/methods/test_path_limit.py",
     ),
+    Bug(
+        "shadow rays of coarse smooth meshes start on their triangles",
+        "adjoint_gi/core/lights/direct.py",
+        "    if answer.edge is not None:",
+        "    if False:",
+        "tests/core/test_terminator.py",
+    ),
 )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from ...core.scene.arrays import ObjectArrays
 from ..host.notices import Notices
+from ..host.versions import terminator_offset
 from ..results import links as targets
 from ..results.preview import own_material
 from .cycles_settings import name_bounces, name_object_settings
@@ -38,6 +39,7 @@ class Group:
     uids: list[int] = field(default_factory=list)
     instances: list[tuple[int, ...]] = field(default_factory=list)
     matrices: list[tuple[float, ...]] = field(default_factory=list)
+    terminators: list[float] = field(default_factory=list)
 
 
 @dataclass(eq=False)
@@ -151,6 +153,7 @@ class InstanceWalk:
         group.uids.append(original.session_uid)
         group.instances.append(ids)
         group.matrices.append(tuple(matrix))
+        group.terminators.append(terminator_offset(original, "geometry"))
 
     def _visit_light(self, inst: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, original: bpy.types.Object) -> None:
         matrix = np.array([x for row in inst.matrix_world for x in row], np.float64).reshape(4, 4)
@@ -340,6 +343,7 @@ def _objects(group: Group, kept: np.ndarray, first_triangle: int, first_vertex: 
             render_uv=mesh.render_uv,
             colors=colors,
             selected=mesh.selected,
+            terminator=group.terminators[i],
         )
         for j, i in enumerate(kept.tolist())
     ]

@@ -15,6 +15,7 @@ import numpy as np
 from ...core.scene.arrays import Material, ObjectArrays
 from ...core.scene.shading import LARGEST_EMISSION
 from ..host.notices import Notices
+from ..host.versions import terminator_offset
 from .members import node_trees
 
 LAMP_RAYS = ("diffuse", "glossy", "transmission")
@@ -91,6 +92,9 @@ def name_rays(obj: bpy.types.Object, notices: Notices) -> None:
     _name_off(obj.name, obj, "visible_", LAMP_RAYS if lamp else MESH_RAYS, notices)
     if not lamp:  # Blender hides every new lamp from the camera, and so do we
         _name_camera(obj.name, obj, "visible_camera", notices)
+        if terminator_offset(obj, "shading") > 0:
+            reason = "has a Shading Offset of its Shading Terminator, which is not followed; the Geometry Offset is"
+            notices.add(obj.name, reason, "Set it to 0 to match Cycles, or use more faces")
     linking = getattr(obj, "light_linking", None)
     if linking is not None and (linking.receiver_collection or linking.blocker_collection):
         reason = "lights or shadows some objects only (light linking), which is not computed: it counts for all objects"

@@ -33,6 +33,16 @@ def working_space_notice(notices: Notices) -> None:
         )
 
 
+def terminator_offset(obj: bpy.types.Object, which: str) -> float:
+    """The "geometry" or "shading" offset of an object's Shading Terminator: Cycles' own settings up to Blender 4.5, the object's since."""
+    names = [f"shadow_terminator_{which}_offset"] + ["shadow_terminator_offset"] * (which == "shading")
+    for owner in (obj, getattr(obj, "cycles", None)):
+        for name in names:
+            if hasattr(owner, name):
+                return float(getattr(owner, name))
+    return 0.1 if which == "geometry" else 0.0
+
+
 def uses_nodes(owner: bpy.types.Material | bpy.types.World | bpy.types.Light) -> bool:
     """Whether the node tree counts: always where the switch is deprecated (materials and worlds from 5.0, lights from 5.2 on)."""
     if owner.node_tree is None:

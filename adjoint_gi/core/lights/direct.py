@@ -15,6 +15,7 @@ from ..sampling import maps as sampling
 from ..sampling.maps import PI, columns, dot
 from ..scene.arrays import RayKind
 from ..scene.faces import Faces
+from ..scene.terminator import Edge
 from ..scene.world import Surface, World
 from .emitters import Emitters
 
@@ -33,28 +34,32 @@ class Response:
     """How surfaces answer light from one direction each.
 
     lit (n,) bool: where it counts at all. cosine (n,), or 1, and f (3, n), or None for 1: their product times radiance is what is found.
-    pdf_w (n,): the density by which rays that meet lights share them with light points.
+    pdf_w (n,): the density by which rays that meet lights share them with light points. edge: where shadow rays start off the triangle.
     """
 
     lit: np.ndarray
     pdf_w: np.ndarray
     cosine: np.ndarray | np.float32
     f: np.ndarray | None = None
+    edge: Edge | None = None
 
 
 # The response of the points to directions (3, n).
 Respond = Callable[[np.ndarray], Response]
 
 
-def irradiance(ng: np.ndarray, ns: np.ndarray) -> Respond:
+def irradiance(ng: np.ndarray, ns: np.ndarray, edge: Edge | None = None) -> Respond:
     """The response by which light points find irradiance on surfaces with normals (3, n), of which rays are drawn by the cosine."""
 
     def respond(wi: np.ndarray) -> Response:
         cosine = dot(wi, ns)
         lit = cosine > 0
-        if ns is not ng:
-            lit &= dot(wi, ng) > 0
-        return Response(lit, cosine / PI, cosine)
+        if ns is ng:
+            return Response(lit, cosine / PI, cosine)
+        above = dot(wi, ng) > 0
+        lit &= above if edge is None else edge.lit(wi)
+        # Rays bring nothing from below the triangle, so light points have all of it.
+        return Response(lit, np.where(above, cosine / PI, np.float32(0)), cosine, edge=edge)
 
     return respond
 
@@ -82,8 +87,10 @@ def from_lights(
     rows = np.flatnonzero(lit)
     if not len(rows):
         return rows, np.zeros((3, 0), np.float32), 0
-    wi, distance = s.wi.take(rows, axis=1), s.distance.take(rows)
-    hidden = world.occluded(origin.take(rows, axis=1).T, wi.T, distance, RayKind.SHADOW)
+    start, wi, distance = origin.take(rows, axis=1), s.wi.take(rows, axis=1), s.distance.take(rows)
+    if answer.edge is not None:
+        answer.edge.take(rows).lift(start, wi, distance)
+    hidden = world.occluded(start.T, wi.T, distance, RayKind.SHADOW)
     if emitters.lamps.count:
         hidden &= s.shadow.take(rows)
     free = np.flatnonzero(~hidden)
@@ -163,11 +170,12 @@ def direct_irradiance(
         origin = columns(world.lifted(surface.position[part], surface.ng[part], surface.triangle[part]))
         ng = columns(surface.ng[part])
         ns = ng if surface.ns is surface.ng else columns(surface.ns[part])
+        edge = world.edge(surface.take(part))
         total = np.zeros((3, origin.shape[1]))
         for _ in range(samples):
             if drawn:
                 u = rng.random((3, len(total[0])), np.float32)
-                rows, value, cast = from_lights(world, emitters, origin, u, irradiance(ng, ns), mesh, met)
+                rows, value, cast = from_lights(world, emitters, origin, u, irradiance(ng, ns, edge), mesh, met)
                 total[:, rows] += value
                 rays += cast
             if met:

@@ -53,19 +53,23 @@ class LightPoints:
 
     def at(self, world: World, surface: Surface, shadows: bool) -> Iterator[tuple]:
         """For each element j: wi (n, 3), cosine (n,), radiance (n, 3), weight (n,) = solid angle (0 where hidden), shadow rays cast."""
-        origin = world.leave(surface)
+        origin, edge = world.leave(surface), world.edge(surface)
         p = np.ascontiguousarray(origin.T)
         for index, many, a, b in self._draws:
             s = self.emitters.draw_from(index, p, a, b)
             wi = np.ascontiguousarray(s.wi.T)
             cosine = np.maximum(dot_rows(wi, surface.ns), 0)
-            weight = np.where((cosine > 0) & (dot_rows(wi, surface.ng) > 0), 1 / (s.pdf_w * np.float32(many)), np.float32(0))
+            above = dot_rows(wi, surface.ng) > 0 if edge is None else edge.lit(s.wi)
+            weight = np.where((cosine > 0) & above, 1 / (s.pdf_w * np.float32(many)), np.float32(0))
             radiance = s.radiance.T
             lit = np.flatnonzero((weight > 0) & (radiance.max(axis=1) > 0))
             cast = 0
             if shadows and len(lit):
-                hidden = world.occluded(np.ascontiguousarray(origin[lit]), wi[lit], s.distance[lit], RayKind.SHADOW) & s.shadow[lit]
-                weight[lit[hidden]] = 0
+                start, way, distance = p.take(lit, axis=1), s.wi.take(lit, axis=1), s.distance[lit]
+                if edge is not None:
+                    edge.take(lit).lift(start, way, distance)
+                hidden = world.occluded(np.ascontiguousarray(start.T), np.ascontiguousarray(way.T), distance, RayKind.SHADOW)
+                weight[lit[hidden & s.shadow[lit]]] = 0
                 cast = len(lit)
             yield wi, cosine, radiance, weight.astype(np.float32), cast
 

@@ -257,6 +257,7 @@ class ObjectArrays:
     colors: dict[str, np.ndarray] = field(default_factory=dict)
     selected: np.ndarray | None = None
     maker: str = ""  # the object that makes the instance
+    terminator: float = 0.1  # cosine below which shadow rays of smooth faces are lifted (`scene.terminator`); 0: nowhere
 
     @property
     def triangles(self) -> slice:

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..sampling.maps import columns, dot
 from .normals import shading_normals
+from .terminator import Edge
 from .world import SHORT, World
 
 
@@ -38,6 +39,11 @@ class Faces:
             return ng, ng
         ns = shading_normals(self.corner_normals.take(triangle, axis=1), u, v, ng, side)
         return ng, np.where(self.world.smooth.take(triangle), ns, ng)
+
+    def edge(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, ng: np.ndarray, ns: np.ndarray) -> Edge | None:
+        """Where light ends at points with normals (3, n); None where no face is smooth."""
+        at = self.world.terminator
+        return None if at is None else Edge(at, triangle, u, v, ng, ns)
 
     def positions(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(3, n) float32 points at barycentrics (u, v)."""

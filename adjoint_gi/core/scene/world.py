@@ -8,11 +8,12 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from ..sampling.maps import ONE
+from ..sampling.maps import ONE, columns
 from .arrays import RayKind, SceneArrays
 from .normals import shading_normals
 from .precision import STEP, clearance, near_box
 from .shading import Shading
+from .terminator import Edge, Terminator
 
 # Shadow rays end this share of their length, and the clearance of the triangle, before the triangle that they are cast to: Embree rounds
 # corners relative to the ray's origin.
@@ -73,6 +74,8 @@ class World:
         self.corner_normals = np.asarray(scene.corner_normals, np.float32)
         self.smooth = np.asarray(scene.smooth, bool)
         self.any_smooth = bool(self.smooth.any())
+        cutoff = np.array([x.terminator for x in scene.objects] or [0.0], np.float32)[np.asarray(scene.object, np.int64)] * self.smooth
+        self.terminator = Terminator(corners, self.corner_normals, cutoff) if cutoff.any() else None
 
         self._embree = None
         if len(triangles):
@@ -167,6 +170,13 @@ class World:
         """(n, 3) float32 origins of rays that leave `surface` on the side of its `ng`, or on the other where `through` (n,) bool."""
         side = ONE if through is None else np.where(through, -ONE, ONE)
         return self.lifted(surface.position, surface.ng, surface.triangle, side)
+
+    def edge(self, surface: Surface, ng: np.ndarray | None = None) -> Edge | None:
+        """Where light ends on the points of `surface`, on the side of `ng` (n, 3) or that of its own; None where no face is smooth."""
+        if self.terminator is None:
+            return None
+        ng = surface.ng if ng is None else ng
+        return Edge(self.terminator, surface.triangle, surface.u, surface.v, columns(ng), columns(surface.ns))
 
     def lifted(self, position: np.ndarray, normal: np.ndarray, triangle: np.ndarray, side: np.ndarray | np.float32 = ONE) -> np.ndarray:
         """`position` (..., 3) moved off its `triangle` (...) along `normal`, against it where `side` (...) is -1: the one place where rays

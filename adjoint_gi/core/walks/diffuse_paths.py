@@ -18,6 +18,7 @@ from ..sampling import maps as sampling
 from ..sampling import sobol as low_discrepancy
 from ..sampling.maps import PI, columns, dot
 from ..scene.arrays import RayKind
+from ..scene.terminator import Edge
 from .gathering import Sums
 from .paths import Gathered, Paths, Ray, Walk
 
@@ -35,14 +36,17 @@ class DiffuseVertices:
 
     scale = ONE / PI
 
-    def __init__(self, walk: Walk, origin: np.ndarray, ng: np.ndarray, ns: np.ndarray, u: np.ndarray, numbers: Numbers) -> None:
-        """`origin`: of rays that leave. `u` (VERTEX, n): their random numbers; `numbers`: where those of later ones come from."""
-        self.walk, self.ng, self.ns, self.u, self.numbers = walk, ng, ns, u, numbers
+    def __init__(
+        self, walk: Walk, origin: np.ndarray, ng: np.ndarray, ns: np.ndarray, u: np.ndarray, numbers: Numbers, edge: Edge | None = None
+    ) -> None:
+        """`origin`: of rays that leave. `u` (VERTEX, n): their random numbers; `numbers`: where those of later ones come from. `edge`:
+        where light ends on smooth faces."""
+        self.walk, self.ng, self.ns, self.u, self.numbers, self.edge = walk, ng, ns, u, numbers, edge
         self.count, self.origin = origin.shape[1], origin
 
     def light_points(self, rng: np.random.Generator, uniform: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, int]:
         """One light point for each: rows (m,) that are lit, irradiance (3, m), shadow rays cast."""
-        walk, respond = self.walk, direct.irradiance(self.ng, self.ns)
+        walk, respond = self.walk, direct.irradiance(self.ng, self.ns, self.edge)
         return direct.from_lights(walk.world, walk.emitters, self.origin, self.u[2:5], respond, joined=walk.emitters.any_met())
 
     def scatter(self, rng: np.random.Generator, uniform: np.ndarray | None = None) -> Ray:
@@ -66,7 +70,7 @@ class DiffuseVertices:
         origin = ray.origin.take(rows, axis=1)
         origin += w * t
         origin = faces.lifted(origin, ng, triangle, t)
-        return DiffuseVertices(self.walk, origin, ng, ns, later.at(path, rng), later)
+        return DiffuseVertices(self.walk, origin, ng, ns, later.at(path, rng), later, faces.edge(triangle, u, v, ng, ns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +134,8 @@ class PathTracer:
             throughput = np.full(position.shape, PI)
             scale = ONE / PI
         later = Numbers(numbers[SITE:, rows])
-        vertices = DiffuseVertices(self.walk, self.faces.lifted(position, ng, triangle), ng, ns, later.at(triangle, rng), later)
+        origin, edge = self.faces.lifted(position, ng, triangle), self.faces.edge(triangle, u, v, ng, ns)
+        vertices = DiffuseVertices(self.walk, origin, ng, ns, later.at(triangle, rng), later, edge)
         found = self.trace(Paths(self.walk, vertices, rng, weight=throughput, unit=scale))
         lit[0][:, rows], lit[1][:, rows] = found.direct.T, found.indirect.T
         rays = points.rays + found.rays

@@ -44,15 +44,18 @@ class LobeVertices:
         below = (share < 1) & (rng.random(len(able), np.float32) < 0.5)
         origin = columns(world.leave(surface, below))
         sign = np.where(below, np.float32(-1), np.float32(1))
+        edge = world.edge(surface, surface.ng * sign[:, None])
 
         def respond(direction: np.ndarray) -> Response:
             wi = np.ascontiguousarray(direction.T)
             value, pdf = bsdf.evaluate(lobes, wi)
             if self.walk.uniform:
                 pdf = even_density(lobes)  # that of the rays which share the light with these points
-            # A light on the other side of the surface, geometric or shading, does not count.
-            agrees = (np.einsum("ij,ij->i", wi, surface.ng) * sign > 0) & (np.einsum("ij,ij->i", wi, lobes.z) * sign > 0)
-            return Response((value.max(axis=1) > 0) & agrees, pdf / share, 1 / share, value.T)
+            # A light on the other side of the surface does not count; of smooth faces the shading normal tells the side.
+            above = np.einsum("ij,ij->i", wi, surface.ng) * sign > 0
+            agrees = (above if edge is None else edge.lit(direction)) & (np.einsum("ij,ij->i", wi, lobes.z) * sign > 0)
+            # Rays bring nothing from below the triangle, so light points have all of it.
+            return Response((value.max(axis=1) > 0) & agrees, np.where(above, pdf / share, np.float32(0)), 1 / share, value.T, edge)
 
         u = rng.random((3, len(able)), np.float32) if uniform is None else uniform[:, able]
         rows, value, cast = direct.from_lights(world, self.walk.emitters, origin, u, respond, joined=self.walk.meet_lights)
