@@ -4,7 +4,7 @@ Both strategies, both natures. First progressive radiosity shoots the light of a
 (extended form factors), which shows a complete picture almost at once. Then Monte Carlo passes refine it, sample by sample:
 
     high frequencies    direct light, and all that mirrors and glossy surfaces show, by path tracing from the receivers
-    caustics            by those paths where they can meet the lamp; light of lamps without size by particles on the elements
+    caustics            light of lamps by particles on the elements; that of the background and of emitting faces by those paths
     low frequencies     diffuse surfaces are sampled, and the known radiosity is read only at the next diffuse surface, or later
 
 Receivers pass from the first answer to the second as their samples come in; the finished result holds the second alone.
@@ -98,7 +98,7 @@ class MultiPass(Solver):
         lobes=FIRST_PASS_LOBES,
         limits=lines("""
             Radiosity read at later surfaces is as exact as the elements are small: a small bias, less with more traced bounces
-            Caustics of lamps without size are as sharp as the elements are small
+            Caustics of lamps are as sharp as the elements are small
             With bounded path lengths the second pass traces whole paths and reads no radiosity
             Partial results of the first pass show mirrors as diffuse
         """),

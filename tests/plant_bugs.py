@@ -256,6 +256,41 @@ BUGS = (
         "    if False:",
         "tests/core/test_terminator.py",
     ),
+    Bug(
+        "rough caustics counted twice",
+        "adjoint_gi/core/two_pass/caustics.py",
+        "power, met.clear & lamp))",
+        "power, np.full(len(met.row), lamp)))",
+        "tests/methods/test_multi_pass.py -k rough_mirror",
+    ),
+    Bug(
+        "lamp caustics counted as direct in partial results",
+        "solvers/multi_pass.py",
+        "self.emitted, self.outside.straight)\n        state.arrive_later(self.outside.caustics.total)",
+        "self.emitted, self.outside.straight + self.outside.caustics.total)",
+        "tests/methods/test_multi_pass.py -k partial_results",
+    ),
+    Bug(
+        "a sized lamp without shadow joined with bounced rays",
+        "adjoint_gi/core/lights/emitters.py",
+        "self.sized[(self.lamps.large & self.lamps.shadow)[self.sized]]",
+        "self.sized[self.lamps.large[self.sized]]",
+        "tests/core/test_emitters.py -k without_shadow",
+    ),
+    Bug(
+        "texture emission taking a cell's mean in particles",
+        "adjoint_gi/core/lights/mesh.py",
+        "self._emission_at(self.triangle[cell], u, v) * self.full[cell, None])",
+        "self.flux[cell])",
+        "tests/core/test_emission.py -k finer_than_its_cells",
+    ),
+    Bug(
+        "lamps met behind a pane counted beside their particles",
+        "adjoint_gi/core/two_pass/view_pass.py",
+        "None if self.unmet is None else ~spread",
+        "None",
+        "tests/methods/test_multi_pass.py -k through_a_pane",
+    ),
 )
 
 

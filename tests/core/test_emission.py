@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.lights import mesh
 from adjgi.adjoint_gi.core.lights.emission import Emission
 from adjgi.adjoint_gi.core.lights.outgoing import cone_directions, reject
 from adjgi.adjoint_gi.core.sampling.maps import cosine_directions, disk
@@ -371,6 +372,21 @@ def test_a_constant_background_gives_pi_times_radiance_on_each_side():
     assert abs(mean - expected) < Z * error + 1e-4 * expected
     assert abs(np.mean(triangles) - 0.5) < 0.01
     np.testing.assert_allclose(Emission(world).flux[0], np.multiply(COLOR, 4 * math.pi**2 * 2), rtol=1e-4)
+
+
+def test_particles_of_a_picture_finer_than_its_cells_have_its_own_values(monkeypatch):
+    """Stripes of 1 and 3 within each of the 64 cells: each gives its own power, 4 pi A for both sides at emission 2 times the pixel."""
+    monkeypatch.setattr(mesh, "CELLS", 1)
+    pixels = np.ones((1, 64, 4), np.float32)
+    pixels[:, 1::2, :3] = 3
+    world = textured_panel(pixels)
+
+    def bright(p):
+        return np.floor((p.origin[:, 0] + world.center[0]) * 64).astype(int) % 2 == 1
+
+    mean, error = mean_power(world, bright, batches=32)
+    expected = 4 * math.pi * 0.5 * 3
+    assert error < 0.01 * expected and abs(mean - expected) < Z * error + 1e-4 * expected
 
 
 def textured_panel(pixels):

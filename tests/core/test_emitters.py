@@ -107,6 +107,16 @@ def test_soft_disk():
     agrees(b, 1 / (9 + 1))
 
 
+@pytest.mark.parametrize("kind", ["sphere", "rectangle"])
+def test_a_large_lamp_without_shadow_shines_through_what_is_in_between(kind):
+    """Rays that meet lamps end at surfaces, so these lamps are left to light points alone."""
+    sized = {"sphere": ("point", {"radius": 1.5}), "rectangle": ("area", {"size_x": 3.0, "size_y": 3.0})}[kind]
+    b = floor()
+    b.quad("Shelf", (0, -1, 1), (1, 0, 0), (0, 2, 0), diffuse("Black", 0.0))
+    b.light(lamp(sized[0], shadow=False, **sized[1]))
+    agrees(b, 1 / 9 if kind == "sphere" else PI * 4 * corner(1.5, 1.5, 3))
+
+
 def test_spot_inside_its_cone_and_outside():
     b = floor()
     b.light(lamp("spot", spot_angle=1.0))

@@ -16,7 +16,7 @@ from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method import clock
 from adjgi.adjoint_gi.core.method.registry import Nature, Strategy, method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
-from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material
+from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks import radiance
 from adjgi.tests import scenes, solving
@@ -132,6 +132,57 @@ def test_caustics_of_a_lamp_without_size_come_from_particles():
         ratio.append(s.indirect[2, 0] / s.direct[2, 0])
     assert ratio[0] == pytest.approx(1 / 9, rel=0.1)
     assert ratio[1] < 1e-3
+
+
+def under_panes(*panes, **sun):
+    """A black floor below a sun and flat panes of (roughness, index), given from above."""
+    b = SceneBuilder()
+    b.quad("Floor", (-0.5, -0.5, 0), (1, 0, 0), (0, 1, 0), diffuse("Black", 0.0))
+    for i, (roughness, ior) in enumerate(panes):
+        clear = Material(f"Pane {i}", (Lobe("refraction", Color.of(0.8, 0.8, 0.8), roughness, ior),))
+        b.quad(f"Pane {i}", (-4, -4, 0.5 - 0.1 * i), (8, 0, 0), (0, 8, 0), clear)
+    b.light(Light("Sun", "sun", (1.0, 1.0, 1.0), **sun))
+    return ElementReceivers(Elements(World(b.build()), 50.0))
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.00918, 1.2], ids=["parallel", "default", "wide"])
+def test_the_finished_result_has_the_light_of_a_sun_through_a_pane(angle):
+    s = solve(under_panes((0.0, 1.0), angle=angle), particles=100_000, samples=4, rays=1000)
+    assert s.indirect[0, 0] == pytest.approx(0.8, rel=0.02) and s.direct[0, 0] < 1e-6
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.00918], ids=["parallel", "default"])
+def test_light_through_a_clear_pane_and_a_rough_one_is_found_once(angle):
+    """No light point sees through the clear pane, which lies above; by particles it is whole."""
+    receivers = under_panes((0.0, 1.0), (0.4, 1.2), angle=angle)
+    s = solve(receivers, particles=100_000, samples=64, rays=1000)
+    expected = solving.solve("particle_tracing", receivers, particles=100_000).indirect[0, 0]
+    assert expected > 0.5 and s.indirect[0, 0] == pytest.approx(expected, rel=0.03)
+
+
+def test_light_over_a_rough_mirror_is_found_by_the_second_pass_alone():
+    """Light points see the lamp from there; what particles bring to the elements serves later surfaces only."""
+    b = SceneBuilder()
+    b.quad("Mirror", (-4, -4, 0), (8, 0, 0), (0, 8, 0), Material("Rough", (Lobe("glossy", Color.of(1, 1, 1), 0.6),)))
+    b.quad("Ceiling", (-0.1, -0.1, 2), (0, 0.2, 0), (0.2, 0, 0), diffuse("Black", 0.0))
+    b.light(Light("Lamp", "point", (1.0, 1.0, 1.0), (0, 0, 1)))
+    receivers = ElementReceivers(Elements(World(b.build()), 50.0))
+    s = solve(receivers, particles=20_000, samples=1024, rays=1000)
+    expected = solving.solve("path_tracing", receivers, samples=1024).indirect[2, 0]
+    assert expected > 0 and s.indirect[2, 0] == pytest.approx(expected, rel=0.1)
+
+
+def test_partial_results_count_caustics_as_indirect(monkeypatch):
+    monkeypatch.setattr(clock, "PAUSE", 0.0)
+    b = SceneBuilder()
+    b.quad("Mirror", (-3, -3, 0), (6, 0, 0), (0, 6, 0), Material("Mirror", (Lobe("glossy", Color.of(1, 1, 1), 0.0),)))
+    b.quad("Ceiling", (-0.5, -0.5, 2), (0, 1, 0), (1, 0, 0), diffuse("Ceiling", 0.5))
+    b.light(Light("Lamp", "point", (1.0, 1.0, 1.0), (0, 0, 1)))
+    receivers = ElementReceivers(Elements(World(b.build()), 50.0))
+    run = steps(receivers, particles=20_000, samples=1, rays=1000, direct_light="elements")
+    *_, last = (step.solution() for step in run if step.fraction < 0.3)
+    # The mirror shows the lamp at about three times the distance.
+    assert last.indirect[2, 0] == pytest.approx(last.direct[2, 0] / 9, rel=0.4)
 
 
 @pytest.mark.parametrize("name", ["multi_pass", "two_pass"])

@@ -117,11 +117,13 @@ def from_hits(
     pdf: np.ndarray,
     mesh: bool = True,
     emission: Emitted | None = None,
+    lamps: np.ndarray | None = None,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Emission met by rays along `w` (3, n): for each kind of emitter rows (m,) and weighted radiance (3, m).
 
     `pdf` (n,): the density by which rays share emission with light points, as in `Response`: INF for those that take all of it, `LEAST`
-    for those that leave it. `hit` is what `World.intersect` returned. `emission` stands in for that of the materials.
+    for those that leave it. `hit` is what `World.intersect` returned. `emission` stands in for that of the materials. `lamps` (n,) bool:
+    which of the rays that take all of it meet lamps; None for all.
     """
     triangle, u, v, t = hit
     if mesh and emitters.any_mesh:
@@ -145,7 +147,7 @@ def from_hits(
         yield rows, emitters.lamps_met(o, d, distance.take(rows), pdf.take(rows), mesh)
     if len(emitters.sized):
         # Lamps that light points cannot find for these rays, in full.
-        rows = np.flatnonzero(pdf == INF)
+        rows = np.flatnonzero(pdf == INF if lamps is None else (pdf == INF) & lamps)
         if len(rows):
             yield rows, emitters.lamps_met(origin.take(rows, axis=1), w.take(rows, axis=1), distance.take(rows))
 

@@ -12,6 +12,7 @@ import numpy as np
 from ..base.parallel import in_order
 from ..base.settings import NO_LIMIT
 from ..elements.elements import Elements
+from ..lights.base import LampKind
 from ..lights.emitters import Emitters
 from ..sampling.additive import STEPS, additive
 from ..scene.arrays import RayKind
@@ -26,8 +27,8 @@ class Caustics:
     """Irradiance of element sides from lamps and background over at least one mirror, from fixed random numbers.
 
     by_length   (depth + 2, 2 ne, 3) float64 W m-2; entry k holds the light that has flown k segments, so 0 and 1 are empty
-    unmet       the same shape: of this, what came via perfectly smooth lobes alone from lamps without size, which no ray from a
-                receiver can meet
+    unmet       the same shape: of this, what left the first surface after a lamp by a perfectly smooth lobe. Rays from receivers meet a
+                lamp without size never and a small one hardly ever there, so view passes leave this light to what is known here
     rays        cast for it
     """
 
@@ -99,5 +100,6 @@ class Caustics:
                 continue
             s = met.surface
             power = flux[met.row] * met.weight * met.share
-            found.append((met.segments, self.elements.side(s.triangle, s.u, s.v, s.side), power, met.clear & (not source.kind.sized)))
+            lamp = isinstance(source.kind, LampKind)
+            found.append((met.segments, self.elements.side(s.triangle, s.u, s.v, s.side), power, met.clear & lamp))
         return found, rays

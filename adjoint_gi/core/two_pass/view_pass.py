@@ -15,6 +15,7 @@ from ..bsdf import microfacet as mf
 from ..bsdf import table as bsdf
 from ..lights.direct import direct_irradiance
 from ..sampling.maps import columns
+from ..scene.arrays import RayKind
 from ..scene.world import Surface
 from ..walks.gathering import Estimate
 from ..walks.paths import Gathered, Paths, Walk
@@ -27,7 +28,8 @@ class View:
     """hops: at so many rough or diffuse surfaces in a row the diffuse lobe is sampled, too; from the next one on it is known.
 
     sharp: where it is known and seen directly or via perfect mirrors only, direct light is evaluated at the point itself.
-    unmet: light that no sampled ray can find, for the diffuse lobes that are sampled; or None.
+    unmet: light of lamps that sampled rays hardly find, for the diffuse lobes that are sampled; or None. Rays that meet a lamp behind
+    such a lobe and a mirror leave it to this.
     """
 
     walk: Walk
@@ -39,7 +41,7 @@ class View:
     def gather(self, vertices: LobeVertices, rng: np.random.Generator) -> Gathered:
         """Radiance (n, 3) that the vertices send towards the `wo` of their lobes, own emission left out."""
         paths, n = Paths(self.walk, vertices, rng), vertices.count
-        paths.carried = {"hops": np.full(n, self.hops), "mirrored": np.ones(n, bool)}
+        paths.carried = {"hops": np.full(n, self.hops), "mirrored": np.ones(n, bool), "spread": np.zeros(n, bool)}
         while paths.alive:
             # Step 1: what is known of the diffuse lobes, which are done with then; paths with nothing left have come to their end.
             self._read(paths)
@@ -47,10 +49,11 @@ class View:
             paths.light_points()
             if not paths.scatter():
                 break
-            delta = paths.ray.delta
-            paths.carried = {"hops": paths.carried["hops"] - ~delta, "mirrored": paths.carried["mirrored"] & delta}
+            delta, before = paths.ray.delta, paths.carried
+            spread = before["spread"] | (paths.ray.kind == RayKind.DIFFUSE)
+            paths.carried = {"hops": before["hops"] - ~delta, "mirrored": before["mirrored"] & delta, "spread": spread}
             # Step 3: the emission it meets, and the surface.
-            paths.emission_met()
+            paths.emission_met(None if self.unmet is None else ~spread)
             paths.arrive()
         return paths.gathered()
 

@@ -29,7 +29,7 @@ class Met:
     row        (m,) which ray; surface: where, on the side it came from; weight (m, 3) float32 of what it carries
     share      (m, 1) or (m, 3) float32 of that which coats let through to the diffuse lobe, 1 where there are none
     sent       (m, 3) float32 weight that goes on from there
-    clear      (m,) bool: all lobes on the way were perfectly smooth
+    clear      (m,) bool: the first surface on the way was left by a perfectly smooth lobe, so that no light point finds this chain
     away, lost (k,), (k, 3): rays that escape, and their weight
     """
 
@@ -91,7 +91,8 @@ class Chains:
             sent[on.rows] = on.flight.weight
             share = self.share(at.surface, -at.direction)
             yield Met(at.segments, row, at.surface, at.weight, share, sent, clear[row], segment.away, segment.lost)
-            clear[row[on.rows]] &= on.delta
+            if at.segments == 1:
+                clear[row[on.rows]] = on.delta
 
     def _scatter(self, at: Arrived, rng: np.random.Generator) -> Mirrored:
         """One ray by the lobes that are not diffuse, from the surfaces that have any."""

@@ -229,11 +229,12 @@ class Paths:
         self.rays += len(self.row)
         return True
 
-    def emission_met(self) -> None:
-        """Add the emission that the rays meet."""
+    def emission_met(self, lamps: np.ndarray | None = None) -> None:
+        """Add the emission that the rays meet. `lamps` (n,) bool: which rays by mirrors meet lamps; None for all."""
         if self.counts:
             walk, ray = self.walk, self.ray
-            for rows, value in direct.from_hits(walk.emitters, walk.faces, ray.origin, ray.wi, self.hit, ray.pdf, emission=walk.emission):
+            seen = (ray.origin, ray.wi, self.hit, ray.pdf)
+            for rows, value in direct.from_hits(walk.emitters, walk.faces, *seen, emission=walk.emission, lamps=lamps):
                 self.collect(rows, value)
 
     def arrive(self) -> None:
