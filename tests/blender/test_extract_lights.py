@@ -9,7 +9,10 @@ import bpy
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
-from adjgi.tests.cycles_patch import add_light, measured_irradiance, white_plane
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
+from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.tests.cycles_patch import add_light, diffuse_material, measured_irradiance, rendered, white_plane
+from adjgi.tests.solving import solve
 
 
 def expected_irradiance(light, at=(0.0, 0.0)):
@@ -156,6 +159,32 @@ def test_power_is_distributed_by_the_closed_forms_of_the_manual():
 def test_shadow_switch(shadow):
     add_light("POINT", energy=1.0, use_shadow=shadow)
     assert only_light().shadow is shadow
+
+
+@pytest.mark.parametrize("visible", [None, True, False])
+@pytest.mark.parametrize("kind, values", [("POINT", {"shadow_soft_size": 0.8}), ("AREA", {}), ("SUN", {"angle": 1.0})])
+def test_pictures_show_a_lamp_where_cycles_does(kind, values, visible):
+    """New lamps are hidden from the camera (4.2 to 5.2)."""
+    lamp = add_light(kind, location=(0, 0, 0), energy=100, **values)
+    if visible is not None:
+        lamp.visible_camera = visible
+    floor = white_plane(0.1, diffuse_material("black", 0.0))
+    floor.location.z = -50
+    scene = bpy.context.scene
+    camera = bpy.data.cameras.new("up")
+    camera.type, camera.ortho_scale = "ORTHO", 4.0
+    scene.camera = bpy.data.objects.new("up", camera)
+    scene.camera.location, scene.camera.rotation_euler = (0, 0, -10), (math.pi, 0, 0)
+    scene.collection.objects.link(scene.camera)
+    r = scene.render
+    r.engine, r.resolution_x, r.resolution_y, r.resolution_percentage = "CYCLES", 32, 32, 100
+    scene.cycles.samples, scene.cycles.use_adaptive_sampling, scene.cycles.use_denoising = 16, False, False
+    shown = rendered(32).mean(axis=(0, 1))
+    arrays = extract(bpy.context.evaluated_depsgraph_get())
+    world = World(arrays)
+    ours = solve("path_tracing", world, CameraReceivers(world), samples=16).quantity("radiance").mean(axis=0)
+    assert arrays.lights[0].camera == bool(visible) == bool(shown.max() > 0)
+    np.testing.assert_allclose(ours, shown, rtol=0.03)
 
 
 def test_instanced_lights_have_their_own_place_and_name():

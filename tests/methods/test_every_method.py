@@ -279,6 +279,34 @@ def test_every_kind_of_receivers_is_answered(name, kind):
     assert found.mean() == pytest.approx(want, rel=0.03)
 
 
+SHOWING_MIRRORS = ("whitted", "distribution", "path_tracing", "two_pass", "multi_pass")
+
+
+def before_lamp(camera: bool, mirror: bool) -> SceneArrays:
+    """A camera that looks at a lamp which lights nothing that it sees: straight, or in a mirror behind which it stands."""
+    b = SceneBuilder()
+    material = Material("Mirror", (Lobe("glossy", Color.of(1, 1, 1), 0.0),)) if mirror else diffuse("Black", 0.0)
+    b.quad("Back", (-9, 2, -9), (18, 0, 0), (0, 0, 18), material)
+    side = {"axis_x": (1.0, 0.0, 0.0), "axis_y": (0.0, 0.0, 1.0), "axis_z": (0.0, -1.0 if mirror else 1.0, 0.0)}
+    b.light(Light("Lamp", "area", (2.0, 2.0, 2.0), (0, -3.0 if mirror else 1.0, 0), size_x=9.0, size_y=9.0, camera=camera, **side))
+    b.camera = look((0, 0, 0), (0, 1, 0), size=4)
+    return b.build()
+
+
+@pytest.mark.parametrize("mirror", [False, True], ids=["straight", "mirror"])
+@pytest.mark.parametrize("name", NAMES)
+def test_pictures_show_lamps_that_cameras_may_see(name, mirror):
+    """Cycles hides new lamps from the camera; mirrors show them all the same."""
+    if ROWS[name].kind == "potential" or (mirror and name not in SHOWING_MIRRORS):
+        pytest.skip("shows no lamps, or no mirrors")
+    for camera in (False, True):
+        scene = before_lamp(camera, mirror)
+        world, receivers = places("camera", scene)
+        options = quick(name, scene)
+        picture = solve(name, world, receivers, **options | ({"max_edge": 20.0} if "max_edge" in options else {})).quantity("radiance")
+        np.testing.assert_allclose(picture, 2.0 if camera or mirror else 0.0, rtol=0.05, atol=1e-6)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_same_seed_same_bits_for_any_number_of_threads(name, monkeypatch):
     """And other bits for another seed exactly if the row says so."""

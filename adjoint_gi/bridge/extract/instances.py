@@ -49,6 +49,7 @@ class LightInstance:
     name: str
     light: bpy.types.Light
     matrix: np.ndarray  # (4, 4) float64
+    camera: bool  # whether camera rays see it
 
 
 class InstanceWalk:
@@ -161,7 +162,7 @@ class InstanceWalk:
         if not np.isfinite(matrix).all():
             self._notices.add(name, "has a matrix that is not a number and is left out", "Clear its transform")
             return
-        self.lights.append(LightInstance(name, obj.data, matrix))
+        self.lights.append(LightInstance(name, obj.data, matrix, bool(obj.visible_camera)))
 
     def _identify(self, inst: bpy.types.DepsgraphObjectInstance, original: bpy.types.Object) -> tuple[str, str, tuple[int, ...]]:
         """Name, name of the owner of the mesh, instance path.

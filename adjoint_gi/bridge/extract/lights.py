@@ -10,6 +10,8 @@ radiance P of the sun's disk (irradiance P pi sin^2(angle / 2), or P without an 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 
@@ -46,10 +48,12 @@ def _read(item: LightInstance, notices: Notices) -> Light | None:
         return None
     axes = item.matrix[:3, :3] / lengths
     if data.type == "SUN":
-        return _sun(data, name, power, axes)
-    if data.type == "AREA":
-        return _area(data, name, power, item.matrix, axes, lengths, notices)
-    return _point(data, name, power, item.matrix, axes, lengths)
+        light = _sun(data, name, power, axes)
+    elif data.type == "AREA":
+        light = _area(data, name, power, item.matrix, axes, lengths, notices)
+    else:
+        light = _point(data, name, power, item.matrix, axes, lengths)
+    return light and replace(light, camera=item.camera)
 
 
 def _power(data: bpy.types.Light, name: str, notices: Notices) -> np.ndarray | None:

@@ -84,7 +84,7 @@ class Emitters:
 
     mesh, lamps, background: the lights, by kind; triangles (k,) int32 that emit; density (nt,) float32: of light sampling per area
     on each triangle; power (W, the channels summed) of each triangle, then of each lamp, by which light sampling picks.
-    sized, shared: numbers of the lamps that camera and mirror rays meet, and of those that bounced rays meet.
+    sized, seen, shared: numbers of the lamps that mirror rays meet, of those that camera rays meet, and of those that bounced rays meet.
     """
 
     def __init__(self, world: World) -> None:
@@ -105,6 +105,7 @@ class Emitters:
         self.density = self.mesh.density
 
         self.sized = np.flatnonzero(self.lamps.sized & (self.lamps.importance > 0))
+        self.seen = self.sized[np.array([x.camera for x in world.scene.lights], bool)[self.sized]]
         shared = self.sized[(self.lamps.large & self.lamps.shadow)[self.sized]]
         self.shared = shared if len(shared) <= MOST_LAMPS else shared[:0]
         self._is_shared = np.zeros(self.lamps.count, bool)
@@ -170,14 +171,14 @@ class Emitters:
         return self.mesh.pdf_w(triangle, w, distance)
 
     def lamps_met(
-        self, o: np.ndarray, w: np.ndarray, distance: np.ndarray, pdf: np.ndarray | None = None, mesh: bool = True
+        self, o: np.ndarray, w: np.ndarray, distance: np.ndarray, pdf: np.ndarray | None = None, mesh: bool = True, camera: bool = False
     ) -> np.ndarray | None:
         """(3, n) radiance of lamps that rays pass through before `distance` (n,), inf where they escape; None without any.
 
         With `pdf` (n,), the density the rays were drawn with: only of the lamps that bounces share with light sampling, each
-        weighted by the power heuristic. Without: of all lamps that have a size, unweighted.
+        weighted by the power heuristic. Without: of all lamps that have a size, or of those that a `camera` sees, unweighted.
         """
-        lamps = self.sized if pdf is None else self.shared
+        lamps = self.shared if pdf is not None else self.seen if camera else self.sized
         if not len(lamps):
             return None
         out = np.zeros_like(w)
@@ -190,8 +191,8 @@ class Emitters:
         return out
 
     def along(self, origin: np.ndarray, direction: np.ndarray, distance: np.ndarray) -> np.ndarray:
-        """(n, 3) float32 radiance of the lamps that rays pass through before `distance`; inf where the ray escapes. Costs rays x lamps."""
-        out = self.lamps_met(columns(origin), columns(direction), distance)
+        """(n, 3) float32 radiance of the lamps that camera rays pass before `distance`; inf where the ray escapes. Costs rays x lamps."""
+        out = self.lamps_met(columns(origin), columns(direction), distance, camera=True)
         return np.zeros((len(origin), 3), np.float32) if out is None else out.T
 
 

@@ -190,6 +190,7 @@ class Light:
     - area: the radiance at angle a to its normal is `color` * max(tan(h) - tan(a), 0) / (tan(h) - h), h = spread / 2,
       and `color` for spread = pi.
     - sun: the radiance of its disk is `color` / (pi sin^2(angle / 2)).
+    - camera: whether pictures show it, straight and through what lets light straight through; mirrors show it anyway.
     """
 
     name: str
@@ -210,6 +211,7 @@ class Light:
     spot_scale: tuple[float, float] = (1.0, 1.0)
     soft_falloff: bool = False
     shadow: bool = True
+    camera: bool = True
 
 
 @dataclass(frozen=True)

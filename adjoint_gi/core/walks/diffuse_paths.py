@@ -158,6 +158,4 @@ class PathTracer:
         emitted[:, escaped] = self.emitters.escaping(-points.towards[escaped]).T
         emitted[:, rows] = self.faces.emission_at(triangle, u, v)
         distance = np.where(escaped, np.float32(np.inf), points.distance).astype(np.float32)
-        lamps = self.emitters.lamps_met(columns(points.origin), -columns(points.towards), distance)
-        if lamps is not None:
-            emitted += lamps
+        emitted += self.emitters.along(points.origin, -points.towards, distance).T
