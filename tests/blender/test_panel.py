@@ -215,7 +215,7 @@ def test_a_running_job_can_only_be_stopped(state, monkeypatch):
     assert layout.names("progress") == ["26 %, 1 min 15 s left"]
     assert layout.names("operator") == ["adjoint_gi.stop"]
     assert "4.56 million" in layout.words
-    job.state, job.active = "stopped", False
+    job.state, job.active, job.resumable = "stopped", False, True
     layout = drawn(draw.bake)
     assert layout.names("operator") == ["adjoint_gi.bake", "adjoint_gi.resume"]
     assert layout.names("progress") == ["Stopped at 26 %"]
