@@ -10,7 +10,7 @@ import zlib
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge.extract import images
+from adjgi.adjoint_gi.bridge.extract import image_store, images
 from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from adjgi.adjoint_gi.bridge.extract.image_header import sequence_file
 from adjgi.adjoint_gi.core.images.headers import header_of_bytes
@@ -68,6 +68,7 @@ def test_every_format_is_refused_before_it_is_decoded_where_it_is_too_large(tmp_
         image.buffers_free()
         if packed:
             image.pack()
+        image_store.KNOWN.clear()
         monkeypatch.setattr(images, "LARGEST_IMAGE", 70 * 50 - 1)
         arrays, told = notices()
         assert not arrays.textures and not image.has_data and "70 x 50" in told[0]
@@ -211,3 +212,58 @@ def test_results_of_renders_are_named(tmp_path):
     assert not arrays.textures and len(told) == 2
     assert any("Render Result" in t and "is a render result, whose pixels Blender does not give" in t for t in told)
     assert any("layers.exr" in t and "is a multilayer OpenEXR" in t for t in told)
+
+
+def read_count(monkeypatch):
+    """How often images are decoded from now on: a list that grows."""
+    found = []
+    whole = images.as_bytes
+    monkeypatch.setattr(images, "as_bytes", lambda values: found.append(len(values)) or whole(values))
+    return found
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_an_image_is_read_once_while_it_is_the_same(tmp_path, monkeypatch, packed):
+    image_store.KNOWN.clear()
+    path = tmp_path / "a.png"
+    image = bpy.data.images.load(png(path, (0.8, 0.4, 0.2, 0.5)))
+    image.alpha_mode = "PREMUL"
+    if packed:
+        image.pack()
+    image.buffers_free()
+    emitter(image)
+    reads = read_count(monkeypatch)
+    (first, told), (second, again) = notices(), notices()
+    assert len(reads) == 1 and told == again and len(told) == 1
+    assert first.textures[0].stored is second.textures[0].stored
+    image.colorspace_settings.name = "Non-Color"
+    third, _ = notices()
+    assert third.textures[0].srgb is False and first.textures[0].srgb is True
+    if not packed:
+        png(path, (0.1, 0.1, 0.1, 1.0))
+        image.reload()
+        image.buffers_free()
+        np.testing.assert_array_equal(notices()[0].textures[0].stored[0, 0], [26, 26, 26])
+
+
+def test_images_that_blender_holds_are_read_anew(tmp_path, monkeypatch):
+    image = bpy.data.images.load(png(tmp_path / "a.png", (0.8, 0.4, 0.2, 1.0)))
+    emitter(image)
+    image.pixels[0]  # loads it
+    reads = read_count(monkeypatch)
+    notices()
+    image.pixels[0] = 1.0  # no sign of it anywhere
+    arrays, _ = notices()
+    assert len(reads) == 2 and arrays.textures[0].stored[0, 0, 0] == 255
+
+
+def test_what_is_not_asked_for_is_not_kept(tmp_path):
+    image_store.KNOWN.clear()
+    emitter(bpy.data.images.load(png(tmp_path / "a.png", (0.8, 0.4, 0.2, 1.0))))
+    notices()
+    assert len(image_store.KNOWN._known) == 1
+    for obj in list(bpy.data.objects):
+        bpy.data.objects.remove(obj)
+    white_plane(2.0, None)
+    notices()
+    assert not image_store.KNOWN._known

@@ -79,9 +79,7 @@ def luminance(color: Color, images: Images) -> Color:
         if len(colored) > 1 or colored[0].kind != "image":
             raise NotPolynomial("its luminance cannot be taken before the sources are looked up")
         source = colored[0]
-        pixels = images.textures[source.texture].pixels.copy()
-        pixels[:, :, :3] = (pixels[:, :, :3] @ weights.astype(np.float32))[:, :, None]
-        index = images.derive(source.texture, ("luminance", *weights.tolist()), pixels)
+        index = images.derive(source.texture, ("luminance", *weights.tolist()), _luminances(weights.astype(np.float32)))
         out = out + Color((Term((1.0, 1.0, 1.0), (*grey, _with(source, index))),))
     return simplified(out)
 
@@ -99,19 +97,30 @@ def mapped(color: Color, function: Callable[[np.ndarray], np.ndarray], key: tupl
     if len(places) != 1 or next(iter(sources)).kind != "image":
         raise NotPolynomial("it depends on more than one image or on an attribute")
     source = next(iter(sources))
-    texture = images.textures[source.texture].pixels
-    flat = texture.reshape(-1, 4)
-    value = np.zeros((len(flat), 3), np.float32)
-    for term in color.terms:
-        product = np.broadcast_to(np.array(term.constant, np.float32), value.shape)
-        for s in term.sources:
-            product = product * (flat[:, 3:4] if s.alpha else flat[:, :3])
-        value += product
-    pixels = texture.copy()
-    with np.errstate(all="ignore"):
-        pixels[:, :, :3] = np.nan_to_num(function(value)).reshape(texture.shape[0], texture.shape[1], 3)
+
+    def pixels(flat: np.ndarray) -> np.ndarray:
+        value = np.zeros((len(flat), 3), np.float32)
+        for term in color.terms:
+            product = np.broadcast_to(np.array(term.constant, np.float32), value.shape)
+            for s in term.sources:
+                product = product * (flat[:, 3:4] if s.alpha else flat[:, :3])
+            value += product
+        with np.errstate(all="ignore"):
+            flat[:, :3] = np.nan_to_num(function(value))
+        return flat
+
     index = images.derive(source.texture, (*key, repr(color.terms)), pixels)
     return Color((Term((1.0, 1.0, 1.0), (_with(source, index),)),))
+
+
+def _luminances(weights: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Pixels (n, 4) to pixels whose colours are their sum by `weights` (3,)."""
+
+    def pixels(flat: np.ndarray) -> np.ndarray:
+        flat[:, :3] = (flat[:, :3] @ weights)[:, None]
+        return flat
+
+    return pixels
 
 
 def _with(source: Source, texture: int) -> Source:

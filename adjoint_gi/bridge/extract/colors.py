@@ -204,11 +204,11 @@ class Colors:
         index = self.images.read(node, "REPEAT", "Linear", False)
         if index is None:
             return Color.of(*MEAN_OF_NOTHING[:3])
-        pixels = self.images.textures[index].pixels
-        weight = np.ones(len(pixels))
+        rows = self.images.textures[index].row_means
+        weight = np.ones(len(rows))
         if node.projection == "EQUIRECTANGULAR":
-            weight = np.sin(np.pi * (np.arange(len(pixels)) + 0.5) / len(pixels))
-        value = weight @ pixels[:, :, :3].mean(axis=1, dtype=np.float64) / weight.sum()
+            weight = np.sin(np.pi * (np.arange(len(rows)) + 0.5) / len(rows))
+        value = weight @ rows[:, :3] / weight.sum()
         self.skip(place, "varies with direction", "the mean radiance of its image is used", "Use a constant colour")
         return Color.of(*value.tolist())
 

@@ -12,6 +12,7 @@ from ..host.versions import working_space_notice
 from ..results.show import unhidden
 from .camera import read_camera
 from .cycles_settings import name_scene_settings
+from .image_store import KNOWN
 from .instances import InstanceWalk, place
 from .lights import read_lights
 from .materials import Materials
@@ -52,6 +53,7 @@ def _extract(depsgraph: bpy.types.Depsgraph, scene: bpy.types.Scene, resolution:
     background = read_world(depsgraph.view_layer.world_override or scene.world, materials.colors, notices)
     camera = read_camera(scene, depsgraph, resolution, notices)
 
+    KNOWN.settle()
     if not placed.objects:
         if lights or any(background):
             notices.add(scene.name, "has lights but no faces to receive them; every result is black", "Add a mesh object")

@@ -35,7 +35,7 @@ def stored_header(image: bpy.types.Image) -> Header | None:
 
 def sequence_file(image: bpy.types.Image, frame: int) -> str:
     """Path of one frame of an image sequence: the last number in the name of its file is replaced, with as many digits."""
-    folder, name = os.path.split(_path(image))
+    folder, name = os.path.split(file_path(image))
     stem, extension = os.path.splitext(name)
     found = re.fullmatch(r"(.*?)(\d+)(\D*)", stem)
     if found is None:
@@ -43,7 +43,8 @@ def sequence_file(image: bpy.types.Image, frame: int) -> str:
     return os.path.join(folder, f"{found[1]}{frame:0{len(found[2])}d}{found[3]}{extension}")
 
 
-def _path(image: bpy.types.Image) -> str:
+def file_path(image: bpy.types.Image) -> str:
+    """Absolute path of its file; with tiles or frames a pattern."""
     return bpy.path.abspath(image.filepath, library=image.library)
 
 
@@ -68,7 +69,7 @@ def _files(image: bpy.types.Image) -> Iterator[list[BinaryIO]]:
     if image.use_multiview and image.views_format == "INDIVIDUAL":  # a file for each eye, under names of Blender's making
         yield [io.BytesIO()]
         return
-    path = _tile(image, _path(image)) if image.source == "TILED" else _path(image)
+    path = _tile(image, file_path(image)) if image.source == "TILED" else file_path(image)
     try:
         if not os.path.isfile(path):  # a folder or a device is no picture
             raise NoFile

@@ -1,29 +1,31 @@
-"""Images: Blender's pixels to scene-linear float32 textures, within a budget of pixels.
+"""Images: Blender's pixels to textures, bytes as bytes, within a budget of memory; over it, smaller copies.
 
 Blender hands out float images (and files of 16 bits a channel) scene-linear with associated alpha, and byte images as they are stored
-(measured on 4.2, 5.0 and 5.2), so the latter are decoded here. As in Cycles, the colour of an image with straight alpha is multiplied by
-alpha in its stored encoding when the node's Alpha output is not used. Two things are not copied from Cycles (seen on 4.2 to 5.2): it
-interpolates byte images between their stored values and decodes afterwards, and rounds byte colours times alpha to bytes. Both are exact
-here.
+(measured on 4.2, 5.0 and 5.2), so the latter are decoded here, where they are looked up. As in Cycles, the colour of an image with
+straight alpha is multiplied by alpha in its stored encoding when the node's Alpha output is not used. Two things are not copied from
+Cycles (seen on 4.2 to 5.2): it interpolates byte images between their stored values and decodes afterwards, and rounds byte colours times
+alpha to bytes. Both are exact here.
 """
 
 from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Callable
 
 import bpy
 import numpy as np
 
 from ...core.base.color import decode_srgb, encode_srgb
 from ...core.base.resources import size_text
-from ...core.scene.arrays import Texture
+from ...core.scene.texture import Texture, as_bytes, compact, renamed, shrunk
 from ..host.notices import Notices
 from .image_header import NoFile, sequence_file, stored_header
+from .image_store import KNOWN, Recorder, fingerprint
 
 LARGEST_IMAGE = 8192 * 8192  # pixels
 LARGEST_DECODED = 16 * LARGEST_IMAGE  # bytes that Blender may need for one image
-LARGEST_TOTAL = 2 * LARGEST_IMAGE  # pixels of all textures together: 2 GB of float32 RGBA
+LARGEST_TOTAL = 2 << 30  # bytes that all textures together may take, also those made of others by nodes
 MEAN_OF_NOTHING = (0.8, 0.8, 0.8, 1.0)  # for an image without pixels: Cycles' default grey
 LINEAR = {"Non-Color", "Linear Rec.709", "scene_linear", "Linear", "Raw"}
 ASSOCIATED = {"OPEN_EXR", "OPEN_EXR_MULTILAYER", "HDR", "DPX", "CINEON"}  # formats whose colours are stored times alpha
@@ -34,13 +36,12 @@ class Images:
     """The textures of a scene at `frame`, which image sequences show: every image is read once for each way of reading it."""
 
     def __init__(self, notices: Notices, frame: int) -> None:
-        self._notices = notices
+        self._notices = Recorder(notices)
         self._frame = frame
         self._textures: list[Texture] = []
         self._index: dict[tuple, int | None] = {}
         self._grey: dict[int, bool] = {}
-        self._mean: dict[int, np.ndarray] = {}
-        self._pixels = 0
+        self._bytes = 0
 
     @property
     def textures(self) -> list[Texture]:
@@ -56,39 +57,47 @@ class Images:
         frame = shown_frame(node.image_user, self._frame) if image.source == "SEQUENCE" else None
         key = (image.original.as_pointer(), frame, extension, interpolation, straight)
         if key not in self._index:
-            pixels = self._pixels_of(image, straight) if frame is None else self._pixels_of_frame(image, frame, straight)
-            self._index[key] = None if pixels is None else self._add(Texture(image.name, pixels, extension, interpolation))
+            read = self._once(image, straight) if frame is None else self._read_frame(image, frame, straight)
+            self._index[key] = None if read is None else self._add(renamed(read, image.name, extension, interpolation))
         return self._index[key]
 
-    def derive(self, texture: int, key: tuple, pixels: np.ndarray) -> int:
-        """Index of a texture with other pixels and the same lookup; `key` makes it once."""
+    def derive(self, texture: int, key: tuple, pixels: Callable[[np.ndarray], np.ndarray]) -> int:
+        """Index of a texture with the same lookup and other pixels, which `pixels` makes of some of them ((n, 4) float32, in place or not);
+        `key` makes it once."""
         full = ("derived", texture, *key)
         if full not in self._index:
             of = self._textures[texture]
-            self._index[full] = self._add(Texture(of.name, np.ascontiguousarray(pixels, np.float32), of.extension, of.interpolation))
+            out = np.empty((of.height, of.width, 4), np.float32)
+            for rows, part in of.blocks():
+                out[rows] = pixels(part.reshape(-1, 4)).reshape(part.shape)
+            self._index[full] = self._add(of.with_pixels(out))
         found = self._index[full]
         assert found is not None
         return found
 
     def mean(self, texture: int) -> np.ndarray:
         """(4,) float64 mean of a texture."""
-        if texture not in self._mean:
-            self._mean[texture] = self._textures[texture].pixels.mean(axis=(0, 1), dtype=np.float64)
-        return self._mean[texture]
+        return self._textures[texture].row_means.mean(axis=0)
 
     def is_grey(self, texture: int) -> bool:
         """Whether the three channels are equal in every pixel."""
         if texture not in self._grey:
-            p = self._textures[texture].pixels
-            self._grey[texture] = bool((p[:, :, 0] == p[:, :, 1]).all() and (p[:, :, 1] == p[:, :, 2]).all())
+            self._grey[texture] = self._textures[texture].is_grey
         return self._grey[texture]
 
     def _add(self, texture: Texture) -> int:
-        self._textures.append(texture)
+        """Keep a texture, or a smaller copy of it where all together would take too much: never the last of what is left."""
+        left = LARGEST_TOTAL - self._bytes
+        small = shrunk(texture, max(left - LARGEST_TOTAL // 4, left // 2))
+        if small is not texture:
+            text = f"is used in a smaller copy, because all images together would take more than {size_text(LARGEST_TOTAL)}"
+            self._notices.add(f'Image "{texture.name}"', text, "Scale down images that need no detail")
+        self._bytes += small.stored.nbytes
+        self._textures.append(small)
         return len(self._textures) - 1
 
-    def _pixels_of_frame(self, image: bpy.types.Image, frame: int, straight: bool) -> np.ndarray | None:
-        """(h, w, 4) float32 of one file of an image sequence, for which Blender gives no pixels: it is loaded for the moment."""
+    def _read_frame(self, image: bpy.types.Image, frame: int, straight: bool) -> Texture | None:
+        """One file of an image sequence, for which Blender gives no pixels: it is loaded for the moment."""
         name = f'Image "{image.name}"'
         path = sequence_file(image, frame)
         if not os.path.isfile(path):
@@ -103,15 +112,22 @@ class Images:
         single = bpy.data.images.load(path, check_existing=False)
         try:
             single.colorspace_settings.name, single.alpha_mode = image.colorspace_settings.name, image.alpha_mode
-            pixels = self._pixels_of(single, straight, name)
+            texture = self._read(single, straight, name)
         finally:
             bpy.data.images.remove(single)
-        if pixels is not None:
+        if texture is not None:
             self._notices.add(name, f"is an image sequence; its frame {frame} is used", "", "info")
-        return pixels
+        return texture
 
-    def _pixels_of(self, image: bpy.types.Image, straight: bool, name: str = "") -> np.ndarray | None:
-        """(h, w, 4) float32 scene-linear, row 0 at the bottom. Notices call the image `name` where it stands for another."""
+    def _once(self, image: bpy.types.Image, straight: bool) -> Texture | None:
+        """`_read`, or what it gave before when nothing that it depends on has changed since."""
+        key = fingerprint(image)
+        if key is None:
+            return self._read(image, straight)
+        return KNOWN.get((*key, straight), self._notices, lambda: self._read(image, straight))
+
+    def _read(self, image: bpy.types.Image, straight: bool, name: str = "") -> Texture | None:
+        """Its pixels, as bytes where it has bytes. Notices call the image `name` where it stands for another."""
         name = name or f'Image "{image.name}"'
         had = image.has_data
         if not had and not self._may_decode(image, name):
@@ -129,12 +145,15 @@ class Images:
             self._notices.add(name, "is a movie; one frame of it is used", "Use a single image or an image sequence")
         flat = np.empty(width * height * image.channels, np.float32)
         image.pixels.foreach_get(flat)
-        self._pixels += width * height
         raw = flat.reshape(height, width, image.channels)
-        pixels = self._linear(image, name, _rgba(raw), straight)
-        if not had and image.source == "FILE" and not image.is_dirty:
+        if image.is_float:
+            pixels = _rgba(raw)
+            texture = Texture(image.name, compact(self._linear(image, name, pixels, straight)))
+        else:
+            texture = self._bytes_of(image, name, as_bytes(flat).reshape(raw.shape), straight)
+        if not had and image.source in ("FILE", "TILED") and not image.is_dirty:
             image.buffers_free()  # it was not loaded before: leave no memory behind
-        return pixels
+        return texture
 
     def _may_decode(self, image: bpy.types.Image, name: str) -> bool:
         """Whether an image that is not loaded may be: it is known to fit; a notice if not. Blender decodes it when asked for its size."""
@@ -156,46 +175,47 @@ class Images:
         return self._fits(name, (header.width, header.height))
 
     def _fits(self, name: str, size: tuple[int, int]) -> bool:
-        """Whether an image of this size is within the budgets; a notice if not."""
-        pixels = size[0] * size[1]
-        if pixels > LARGEST_IMAGE:
-            limit = int(LARGEST_IMAGE**0.5)
-            self._notices.add(name, f"has {size[0]} x {size[1]} pixels, more than {limit} x {limit}; {GREY}", "Scale it down")
-            return False
-        if self._pixels + pixels > LARGEST_TOTAL:
-            text = f"would bring all images together over {LARGEST_TOTAL // 2**20} million pixels; {GREY}"
-            self._notices.add(name, text, "Scale some images down")
-            return False
-        return True
+        """Whether an image of this size may be read at all; a notice if not."""
+        if size[0] * size[1] <= LARGEST_IMAGE:
+            return True
+        limit = int(LARGEST_IMAGE**0.5)
+        self._notices.add(name, f"has {size[0]} x {size[1]} pixels, more than {limit} x {limit}; {GREY}", "Scale it down")
+        return False
+
+    def _bytes_of(self, image: bpy.types.Image, name: str, stored: np.ndarray, straight: bool) -> Texture:
+        """An image of bytes with its colour space and alpha. `stored` is (h, w, c) uint8 with 1 to 4 channels."""
+        varies = stored.shape[2] in (2, 4) and bool((stored[..., -1] != 255).any())
+        has_alpha = self._has_alpha(image, name, varies)
+        if stored.shape[2] == 4 and not varies:
+            stored = np.ascontiguousarray(stored[..., :3])
+        space = image.colorspace_settings.name
+        if space not in LINEAR and space != "sRGB":
+            self._notices.add(name, f'has the colour space "{space}"; it is read as sRGB', "Convert it to sRGB or to a float image")
+        return Texture(name, stored, srgb=space not in LINEAR, times_alpha=has_alpha and not straight)
+
+    def _has_alpha(self, image: bpy.types.Image, name: str, varies: bool) -> bool:
+        """Whether colours count times alpha, which `varies`; a notice where the image is marked otherwise than its format has it."""
+        mode = image.alpha_mode
+        has_alpha = mode in ("STRAIGHT", "PREMUL") and varies and not image.colorspace_settings.is_data
+        if has_alpha and image.source != "GENERATED" and _stored_straight(image) != (mode == "STRAIGHT"):
+            usual = "Straight" if _stored_straight(image) else "Premultiplied"
+            text = f"is marked as having {mode.lower()} alpha, unlike its file format, which versions of Cycles read in different ways"
+            self._notices.add(name, text, f"Set its Alpha to {usual}")
+        return has_alpha
 
     def _linear(self, image: bpy.types.Image, name: str, pixels: np.ndarray, straight: bool) -> np.ndarray:
-        """Colour space and alpha of freshly read pixels."""
+        """Alpha of freshly read float pixels (h, w, 4), which Blender hands out scene-linear."""
         bad = ~np.isfinite(pixels)
         if bad.any():
             self._notices.add(name, "holds values that are not numbers; they count as 0", "Repair the image")
             pixels[bad] = 0.0
-        mode, alpha = image.alpha_mode, pixels[:, :, 3:4]
-        is_data = image.colorspace_settings.is_data
-        has_alpha = mode in ("STRAIGHT", "PREMUL") and bool((alpha != 1.0).any()) and not is_data
-        space = image.colorspace_settings.name
-        stored_straight = image.source != "GENERATED" and image.file_format not in ASSOCIATED
-        if has_alpha and image.source != "GENERATED" and stored_straight != (mode == "STRAIGHT"):
-            usual = "Straight" if stored_straight else "Premultiplied"
-            text = f"is marked as having {mode.lower()} alpha, unlike its file format, which versions of Cycles read in different ways"
-            self._notices.add(name, text, f"Set its Alpha to {usual}")
-        if image.is_float:
-            if has_alpha and (straight or stored_straight):
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    pixels[:, :, :3] = np.where(alpha > 0.0, pixels[:, :, :3] / alpha, pixels[:, :, :3])
-                if not straight:
-                    self._multiply_stored(pixels, space, name)
-            return pixels
-        if has_alpha and not straight:
-            pixels[:, :, :3] *= alpha
-        if space not in LINEAR:
-            if space != "sRGB":
-                self._notices.add(name, f'has the colour space "{space}"; it is read as sRGB', "Convert it to sRGB or to a float image")
-            pixels[:, :, :3] = decode_srgb(pixels[:, :, :3])
+        alpha = pixels[:, :, 3:4]
+        has_alpha = self._has_alpha(image, name, bool((alpha != 1.0).any()))
+        if has_alpha and (straight or _stored_straight(image)):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                pixels[:, :, :3] = np.where(alpha > 0.0, pixels[:, :, :3] / alpha, pixels[:, :, :3])
+            if not straight:
+                self._multiply_stored(pixels, image.colorspace_settings.name, name)
         return pixels
 
     def _multiply_stored(self, pixels: np.ndarray, space: str, name: str) -> None:
@@ -207,6 +227,11 @@ class Images:
         if space not in LINEAR and not space.startswith(("Linear", "ACES")):
             text = f'has alpha and the colour space "{space}"; its linear colours are multiplied by alpha, in Cycles its stored ones'
             self._notices.add(name, text, "Convert it to sRGB")
+
+
+def _stored_straight(image: bpy.types.Image) -> bool:
+    """Whether colours are stored independent of alpha."""
+    return image.source != "GENERATED" and image.file_format not in ASSOCIATED
 
 
 def shown_frame(user: bpy.types.ImageUser, frame: int) -> int:

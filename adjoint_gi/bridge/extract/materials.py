@@ -111,9 +111,8 @@ class Materials:
         if any(s.kind != "image" for t in terms for s in t.sources) or len(terms) > 1 or len(terms[0].sources) > 1:
             return color
         source = terms[0].sources[0]
-        pixels = self.images.textures[source.texture].pixels
-        channels = pixels[:, :, 3:] if source.alpha else pixels[:, :, :3]
-        values = np.array(terms[0].constant) * np.stack([channels.min(axis=(0, 1)), channels.max(axis=(0, 1))])
+        ranges = self.images.textures[source.texture].ranges
+        values = np.array(terms[0].constant) * (ranges[:, 3:] if source.alpha else ranges[:, :3])
         if values.min() < 0.0 or values.max() > top + 1e-4:
             self._tell(f"has an {word} outside 0 to {top:g} in its image; it is clamped", f"Use an image within 0 to {top:g}")
             try:

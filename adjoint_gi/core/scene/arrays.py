@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..base.errors import Notice
+from .texture import Texture
 
 Rgb = tuple[float, float, float]
 
@@ -16,16 +17,6 @@ class RayKind:
 
     CAMERA, DIFFUSE, GLOSSY, TRANSMISSION, SHADOW = (np.uint8(1 << bit) for bit in range(5))
     ALL = np.uint8(31)
-
-
-@dataclass(frozen=True, eq=False)
-class Texture:
-    """An image: `pixels` (h, w, 4) float32 scene-linear, row 0 at the bottom."""
-
-    name: str
-    pixels: np.ndarray
-    extension: str = "REPEAT"  # REPEAT, EXTEND, CLIP or MIRROR
-    interpolation: str = "Linear"  # Linear or Closest
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..base.errors import Notice
-from .arrays import Color, Material, Scalar, SceneArrays, Source, Texture, constant_of
+from .arrays import Color, Material, Scalar, SceneArrays, Source, constant_of
 from .substitutes import as_diffuse
+from .texture import sample_texture
 
 LARGEST_EMISSION = 1e9  # W m-2 sr-1; its square still fits in float32
 
@@ -121,7 +122,7 @@ def source_range(source: Source, scene: SceneArrays) -> tuple[float, float]:
     clipped = False
     if source.kind == "image":
         texture = scene.textures[source.texture]
-        arrays, clipped = [texture.pixels], texture.extension == "CLIP"
+        arrays, clipped = [texture.ranges], texture.extension == "CLIP"
     else:
         arrays = [obj.colors[source.name] for obj in scene.objects if source.name in obj.colors]
     values = [a[..., 3 if source.alpha else 0] for a in arrays if a.size]
@@ -161,35 +162,3 @@ def source_at(source: Source, scene: SceneArrays, triangle: np.ndarray, u: np.nd
         st = values @ m[:, :2].T + m[:, 2]
         values = sample_texture(scene.textures[source.texture], st)
     return np.repeat(values[:, 3:4], 3, axis=1) if source.alpha else values[:, :3]
-
-
-def sample_texture(texture: Texture, st: np.ndarray) -> np.ndarray:
-    """(n, 4) float32 texture values at image coordinates `st` (n, 2), bilinear or closest."""
-    height, width = texture.pixels.shape[:2]
-    size = np.array([width, height], np.float32)
-    st = np.where(np.isfinite(st), st, np.float32(0))
-    if texture.interpolation == "Closest":
-        cell = np.floor(st * size).astype(np.int64)
-        return _texel(texture, cell[:, 0], cell[:, 1])
-    p = st * size - np.float32(0.5)
-    low = np.floor(p)
-    f = (p - low).astype(np.float32)
-    x, y = low[:, 0].astype(np.int64), low[:, 1].astype(np.int64)
-    fx, fy = f[:, :1], f[:, 1:]
-    bottom = _texel(texture, x, y) * (1 - fx) + _texel(texture, x + 1, y) * fx
-    top = _texel(texture, x, y + 1) * (1 - fx) + _texel(texture, x + 1, y + 1) * fx
-    return bottom * (1 - fy) + top * fy
-
-
-def _texel(texture: Texture, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    height, width = texture.pixels.shape[:2]
-    if texture.extension == "REPEAT":
-        return texture.pixels[y % height, x % width]
-    if texture.extension == "MIRROR":
-        x, y = x % (2 * width), y % (2 * height)
-        return texture.pixels[np.minimum(y, 2 * height - 1 - y), np.minimum(x, 2 * width - 1 - x)]
-    values = texture.pixels[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
-    if texture.extension == "CLIP":
-        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-        values = values * inside[:, None]
-    return values

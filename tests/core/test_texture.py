@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Textures of bytes and halves give the values of float ones, bit for bit, and smaller copies their means."""
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core.base.color import decode_srgb
+from adjgi.adjoint_gi.core.scene import texture as textures
+from adjgi.adjoint_gi.core.scene.texture import Texture, as_bytes, compact, sample_texture, shrunk
+
+
+def stored(channels, seed=3, size=(37, 21)):
+    rng = np.random.default_rng(seed)
+    return rng.integers(0, 256, (*size, channels), np.uint8)
+
+
+def floats(s, srgb, times_alpha):
+    """What float textures of earlier versions held."""
+    out = np.ones((*s.shape[:2], 4), np.float32)
+    out[..., :3] = (s[..., :3] if s.shape[2] >= 3 else s[..., :1]) * np.float32(1 / 255)
+    if s.shape[2] in (2, 4):
+        out[..., 3] = s[..., -1] * np.float32(1 / 255)
+    if times_alpha:
+        out[..., :3] *= out[..., 3:]
+    if srgb:
+        out[..., :3] = decode_srgb(out[..., :3])
+    return out
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+@pytest.mark.parametrize("srgb", [False, True])
+@pytest.mark.parametrize("times_alpha", [False, True])
+def test_bytes_have_the_values_of_floats_at_every_texel_and_between(channels, srgb, times_alpha, monkeypatch):
+    monkeypatch.setattr(textures, "BLOCK", 100)
+    s = stored(channels)
+    right = floats(s, srgb, times_alpha and channels in (2, 4))
+    small = Texture("a", s, srgb=srgb, times_alpha=times_alpha)
+    np.testing.assert_array_equal(small.pixels, right)
+    st = np.random.default_rng(1).uniform(-2, 3, (500, 2)).astype(np.float32)
+    for extension in ("REPEAT", "EXTEND", "CLIP", "MIRROR"):
+        for interpolation in ("Linear", "Closest"):
+            found = sample_texture(textures.renamed(small, "b", extension, interpolation), st)
+            np.testing.assert_array_equal(found, sample_texture(Texture("b", right, extension, interpolation), st))
+    np.testing.assert_allclose(small.row_means, right.mean(axis=1, dtype=np.float64), rtol=1e-12)
+    np.testing.assert_array_equal(small.ranges, [right.min(axis=(0, 1)), right.max(axis=(0, 1))])
+    assert small.is_grey == (channels < 3)
+
+
+@pytest.mark.parametrize("grey", [False, True])
+@pytest.mark.parametrize("opaque", [False, True])
+@pytest.mark.parametrize(("dtype", "scale"), [(np.float16, 1.0), (np.float32, 1.0), (np.float32, 1e6)])
+def test_compact_loses_nothing(grey, opaque, dtype, scale):
+    pixels = (np.random.default_rng(2).random((13, 7, 4)) * scale).astype(dtype).astype(np.float32)
+    if grey:
+        pixels[..., 1:3] = pixels[..., :1]
+    if opaque:
+        pixels[..., 3] = 1
+    kept = compact(pixels)
+    assert kept.dtype == dtype and kept.shape[2] == (1 if grey else 3) + (not opaque)
+    np.testing.assert_array_equal(Texture("a", kept).pixels, pixels)
+
+
+@pytest.mark.parametrize("size", [(64, 64), (61, 9), (1, 7)])
+def test_smaller_copies_are_box_means(size, monkeypatch):
+    monkeypatch.setattr(textures, "BLOCK", 70)
+    whole = Texture("a", stored(4, size=size), srgb=True)
+    small = whole.smaller(2)
+    assert (small.height, small.width) == (max(1, size[0] >> 2), max(1, size[1] >> 2))
+    np.testing.assert_allclose(small.pixels.mean(axis=(0, 1)), whole.pixels.mean(axis=(0, 1)), rtol=0.08)
+    if size == (64, 64):
+        boxes = whole.pixels.reshape(16, 4, 16, 4, 4).mean(axis=(1, 3))
+        np.testing.assert_allclose(small.pixels, boxes, rtol=1e-3, atol=1e-6)
+
+
+def test_shrunk_keeps_what_fits_and_fits_what_it_shrinks():
+    whole = Texture("a", stored(3, size=(64, 64)))
+    assert shrunk(whole, 64 * 64 * 3) is whole
+    for most in (64 * 64 * 3 - 1, 1000, 8):
+        assert shrunk(whole, most).stored.nbytes <= most
+
+
+def test_as_bytes_is_exact():
+    values = np.arange(256, dtype=np.float32) * np.float32(1 / 255)
+    np.testing.assert_array_equal(as_bytes(values), np.arange(256))
+    np.testing.assert_array_equal(as_bytes((np.arange(256) / 255).astype(np.float32)), np.arange(256))
