@@ -267,3 +267,24 @@ def test_what_is_not_asked_for_is_not_kept(tmp_path):
     white_plane(2.0, None)
     notices()
     assert not image_store.KNOWN._known
+
+
+def test_budget_of_all_images(monkeypatch):
+    """Smaller copies with the same means, and one sentence about all of them; never grey in the place of an image."""
+    monkeypatch.setattr(images, "LARGEST_TOTAL", 3 * 64 * 64 * 4 // 3)
+    rng = np.random.default_rng(1)
+    for name in ("first", "second", "third"):
+        image = bpy.data.images.new(name, 64, 64)
+        pixels = np.ones((64, 64, 4), np.float32)
+        pixels[..., :3] = rng.random((64, 64, 3)) * np.linspace(0, 1, 64)[:, None, None]
+        image.pixels.foreach_set(pixels.ravel())
+        emitter(image)
+    arrays, _ = notices()
+    assert [t.width for t in arrays.textures] == [64, 16, 8]
+    assert sum(t.stored.nbytes for t in arrays.textures) <= images.LARGEST_TOTAL
+    full = arrays.textures[0].row_means.mean(axis=0)[:3]
+    for small in arrays.textures[1:]:
+        np.testing.assert_allclose(small.row_means.mean(axis=0)[:3], full, rtol=0.06)  # of other random numbers
+        assert small.row_means[-1, 0] > 10 * small.row_means[0, 0], "the picture is still there"
+    (notice,) = [n for n in arrays.warnings if "all images together" in n.reason]
+    assert notice.names == ('Image "second"', 'Image "third"') and "smaller copy" in notice.reason

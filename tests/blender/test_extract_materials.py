@@ -9,7 +9,6 @@ import zlib
 import bpy
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.bridge.extract import images as extract_images
 from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests.cycles_patch import add_light, diffuse_material, empty_material, render_patch, shader_material, white_plane
@@ -393,27 +392,6 @@ def test_huge_images_are_refused_before_they_are_decoded(tmp_path, packed):
     assert lobes["emission"].color.constant == approx(0.8)
     assert told(arrays, 'Image "bomb.png"', "30000 x 30000", "0.8")
     assert not image.has_data
-
-
-def test_budget_of_all_images(monkeypatch):
-    """Smaller copies with the same means, and one sentence about all of them; never grey in the place of an image."""
-    monkeypatch.setattr(extract_images, "LARGEST_TOTAL", 3 * 64 * 64 * 4 // 3)
-    rng = np.random.default_rng(1)
-    for name in ("first", "second", "third"):
-        image = bpy.data.images.new(name, 64, 64)
-        pixels = np.ones((64, 64, 4), np.float32)
-        pixels[..., :3] = rng.random((64, 64, 3)) * np.linspace(0, 1, 64)[:, None, None]
-        image.pixels.foreach_set(pixels.ravel())
-        white_plane(2.0, textured(image))
-    arrays = extract(bpy.context.evaluated_depsgraph_get())
-    assert [t.width for t in arrays.textures] == [64, 16, 8]
-    assert sum(t.stored.nbytes for t in arrays.textures) <= extract_images.LARGEST_TOTAL
-    full = arrays.textures[0].row_means.mean(axis=0)[:3]
-    for small in arrays.textures[1:]:
-        np.testing.assert_allclose(small.row_means.mean(axis=0)[:3], full, rtol=0.06)  # of other random numbers
-        assert small.row_means[-1, 0] > 10 * small.row_means[0, 0], "the picture is still there"
-    (notice,) = [n for n in arrays.warnings if "all images together" in n.reason]
-    assert notice.names == ('Image "second"', 'Image "third"') and "smaller copy" in notice.reason
 
 
 def test_images_on_disk_packed_and_generated_agree(tmp_path):
