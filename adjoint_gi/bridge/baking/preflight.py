@@ -9,10 +9,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import bpy
+import numpy as np
 
 from ...core.base.errors import AdjointError, Notice, TargetError
 from ...core.base.resources import SHARE, available_memory, size_text
 from ...core.elements.elements import Elements
+from ...core.flux.density import own_resolutions
 from ...core.lights.background import Background
 from ...core.receivers.base import Receivers
 from ...core.receivers.texels import memory as lightmap_memory
@@ -142,7 +144,7 @@ def inspect(world: World, request: BakeRequest) -> list[Notice]:
         notices.append(Notice("Scene", "nothing emits light; the result is black", "Add a light, an emitting material or a world colour"))
     notices += openness.notices(world, set(receivers))
     notices += world.shading.substitutions(request.solver.spec.lobes)
-    notices += estimates(world, request, len(receivers))
+    notices += estimates(world, request)
     return ordered(notices)
 
 
@@ -183,16 +185,16 @@ def emits(world: World) -> bool:
     return lamps or Background(world).any or bool(world.shading.emissive().any())
 
 
-def estimates(world: World, request: BakeRequest, objects: int) -> list[Notice]:
+def estimates(world: World, request: BakeRequest) -> list[Notice]:
     """Receivers, elements and memory of the bake as infos, and an error when the memory is not there."""
     solver, settings = request.solver, request.settings
     receivers = Receivers()
     receivers.kind = RECEIVERS[request.target]
     needed = 0
     if request.target == "texture":
-        images = 1 if request.atlas else objects
-        receivers.count = images * request.resolution**2
-        needed += lightmap_memory(request.resolution, request.resolution, request.subsamples)
+        sides = resolutions(world, receiving(world.scene, request), request)
+        receivers.count = int((sides**2).sum())
+        needed += lightmap_memory(receivers.count, 1, request.subsamples)
         what = f"up to {receivers.count:,} texels"
     elif request.target == "attribute":
         if request.new_object and solver.spec.uses_elements and world.triangle_count:
@@ -215,6 +217,13 @@ def estimates(world: World, request: BakeRequest, objects: int) -> list[Notice]:
     except AdjointError as error:
         notices.append(error.notice)
     return notices + _memory_notice(solver.spec.label, needed, f"{world.triangle_count:,} triangles, {what}")
+
+
+def resolutions(world: World, objects: list[int], request: BakeRequest) -> np.ndarray:
+    """(n,) int64 texels a side of every image of `objects` (indices), which is one for all of them in an atlas."""
+    if request.atlas:
+        return np.full(min(1, len(objects)), request.resolution)
+    return own_resolutions(np.array([world.area[world.scene.objects[i].triangles].sum() for i in objects]), request.resolution)
 
 
 def triangle_count(depsgraph: bpy.types.Depsgraph) -> int:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from ...core.base.errors import AdjointError, Notice
 from ...core.base.text import json_text
+from ...core.flux.density import Given, given, seen
 from ...core.images.exr import write_exr
 from ...core.images.png import write_png
 from ...core.method.solution import Solution
@@ -40,7 +41,7 @@ from ..results.lightmap_uv import (
 )
 from ..results.show import unhidden
 from . import outputs
-from .preflight import receiving
+from .preflight import receiving, resolutions
 from .writer import Prepared, Writer, find_objects
 
 COMPONENTS = ("emitted", "direct", "indirect", "albedo")  # layers of the file with all parts
@@ -65,6 +66,11 @@ class Sheet:
         image, _ = fill_margin(self.lightmap.image(values[self.part]), has, margin)
         return image, np.where(has, self.lightmap.share, np.float32(0))
 
+    def given(self, world: World, group: list[int]) -> tuple[Given, ...]:
+        """What each object of `group` (indices) got of the image."""
+        receivers = self.lightmap.receivers
+        return given(world, group, receivers.triangle[receivers.start[:-1]])
+
 
 class TextureWriter(Writer):
     """One image for each sheet; with a folder also its EXR, an EXR of all components, and a PNG to look at."""
@@ -81,7 +87,11 @@ class TextureWriter(Writer):
         objects = [find_objects((world.scene.objects[i].uid,), world.scene.objects[i].source)[0] for i in indices]
         with unhidden(context.view_layer):
             groups, why = _to_unwrap(objects, request, context.evaluated_depsgraph_get())
-            made = _make_layers(groups, request.resolution) if groups else None
+            made = None
+            if groups:
+                sides = np.broadcast_to(resolutions(world, indices, request), len(objects))
+                density = _densities(world, indices, objects) if request.atlas and len(objects) > 1 else np.ones(len(objects))
+                made = _make_layers(groups, dict(zip(objects, sides, strict=True)), dict(zip(objects, density, strict=True)))
         if made is not None:
             made.notices[:0] = why
             context.view_layer.update()
@@ -91,13 +101,16 @@ class TextureWriter(Writer):
         """The texels of all sheets, one sheet after the other."""
         indices = receiving(self.world.scene, self.request)
         groups = [indices] if self.request.atlas else [[i] for i in indices]
-        sheets = [self._sheet(context, group) for group in groups]
+        sides = resolutions(self.world, indices, self.request)
+        self.notices += _told(self.request, sides)
+        sheets = [self._sheet(context, group, int(side)) for group, side in zip(groups, sides, strict=True)]
+        self.given = [part for group, sheet in zip(groups, sheets, strict=True) for part in sheet.given(self.world, group)]
         receivers, parts = join([sheet.lightmap.receivers for sheet in sheets])
         self.sheets: Sequence[Sheet] = [replace(sheet, part=part) for sheet, part in zip(sheets, parts, strict=True)]
         return receivers
 
-    def _sheet(self, context: bpy.types.Context, group: list[int]) -> Sheet:
-        """The texels of the objects `group`, which share one image."""
+    def _sheet(self, context: bpy.types.Context, group: list[int], resolution: int) -> Sheet:
+        """The texels of the objects `group`, which share one image of `resolution`."""
         request, world = self.request, self.world
         objects = [world.scene.objects[i] for i in group]
         uids = tuple(o.uid for o in objects)
@@ -110,7 +123,7 @@ class TextureWriter(Writer):
         if not request.uv_layer and not request.atlas:
             self.notices += [_in_part(obj) for obj in found if shares_square(obj)]
         layer_of = dict(zip(group, layers, strict=True))
-        lightmap = rasterize(world, group, layer_of, request.resolution, request.subsamples)
+        lightmap = rasterize(world, group, layer_of, resolution, request.subsamples)
         self.notices += lightmap.warnings
         name = outputs.title(request, self.scene_name, objects[0].source)
         return Sheet(name, uids, lightmap, slice(0), tuple(layers))
@@ -178,20 +191,40 @@ def _to_unwrap(
     return [] if together else [objects], told
 
 
-def _make_layers(groups: list[list[bpy.types.Object]], resolution: int) -> Prepared:
-    """Unwrap each group into one image of `resolution`; all get their layers, or none."""
+def _make_layers(
+    groups: list[list[bpy.types.Object]], sides: Mapping[bpy.types.Object, int], density: Mapping[bpy.types.Object, float]
+) -> Prepared:
+    """Unwrap each group into one image of as many texels a side as `sides` says; all get their layers, or none. `density`: of `unwrap`."""
     made = Prepared([])
     try:
         for objects in groups:
-            plan = read_plan(objects)
+            plan, side = read_plan(objects), int(sides[objects[0]])
             with listed_errors(objects):
-                unwrapped = unwrap([face.mesh for face in plan.faces], resolution, paddings(resolution))
+                scale = np.array([density[obj] for obj in plan.objects])
+                unwrapped = unwrap([face.mesh for face in plan.faces], side, paddings(side), scale)
             made.undo.callback(write_plan(plan, unwrapped))
             made.notices += notices(objects, unwrapped)
     except AdjointError:
         made.undo.close()
         raise
     return made
+
+
+def _densities(world: World, indices: list[int], objects: list[bpy.types.Object]) -> np.ndarray:
+    """(n,) float64 how densely `objects`, `indices` in the world, lie in an atlas: by what is seen of them, times the user's factor."""
+    return seen(world).weight[indices] * [getattr(obj, "adjoint_gi_density", 1.0) for obj in objects]  # absent where nothing is registered
+
+
+def _told(request: BakeRequest, sides: np.ndarray) -> list[Notice]:
+    """A notice where images follow the size of their objects."""
+    if (sides == request.resolution).all():
+        return []
+    texels = ", ".join(f"{count} of {side}" for side, count in zip(*np.unique(sides, return_counts=True), strict=True))
+    return [
+        Notice(
+            "Lightmaps", f"follow the sizes of {len(sides)} objects, in texels a side: {texels}", "Bake an atlas, or fewer objects", "info"
+        )
+    ]
 
 
 def _in_part(obj: bpy.types.Object) -> Notice:

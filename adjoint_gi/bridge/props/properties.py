@@ -251,11 +251,19 @@ def register() -> None:
     bpy.utils.register_class(root)
     _classes.append(root)
     bpy.types.Scene.adjoint_gi = bpy.props.PointerProperty(type=root)
+    bpy.types.Object.adjoint_gi_density = bpy.props.FloatProperty(
+        name="Density",
+        description="Texels along an edge of this object in an atlas, beside what it would get by what is seen of it",
+        default=1.0,
+        min=0.01,
+        soft_max=8.0,
+    )
 
 
 def unregister() -> None:
     """Take the root group off the scenes and forget the classes; doing it twice changes nothing."""
     if hasattr(bpy.types.Scene, "adjoint_gi"):
         del bpy.types.Scene.adjoint_gi
+        del bpy.types.Object.adjoint_gi_density
     while _classes:
         bpy.utils.unregister_class(_classes.pop())

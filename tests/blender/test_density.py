@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Texels of a bake follow what is seen, the user's factor, and the size of many objects."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from adjgi.adjoint_gi.bridge.baking import report
+from adjgi.adjoint_gi.bridge.baking.bake import Bake, BakeRequest
+from adjgi.adjoint_gi.core.method import registry
+
+
+def plane(name, size, z=0.0, at=(0, 0), flip=False):
+    bpy.ops.mesh.primitive_plane_add(size=size, location=(*at, z), rotation=(np.pi if flip else 0, 0, 0))
+    bpy.context.object.name = name
+
+
+def given(**options):
+    """What each object got, by the report of a bake."""
+    solver = registry.method("local_illumination")
+    bake = Bake(bpy.context, BakeRequest("local_illumination", solver.Settings(), **options))
+    return {row["object"]: row for row in report.of_bake(bake)["lightmaps"]}, bake
+
+
+def test_a_ground_plane_leaves_the_room_its_texels_and_the_user_decides(registered):
+    plane("Ground", 29, -0.01)
+    plane("Floor", 4)
+    plane("Ceiling", 4, 2.6, flip=True)
+    got, _ = given(resolution=128, atlas=True)
+    assert got["Floor"]["texels"] + got["Ceiling"]["texels"] > got["Ground"]["texels"] > 0
+    assert got["Floor"]["texels_per_metre"] > 4 * got["Ground"]["texels_per_metre"]
+    for name in got:
+        bpy.data.objects[name].adjoint_gi_density = 0.25 if name == "Ceiling" else 1.0
+        bpy.data.objects[name].data.uv_layers.remove(bpy.data.objects[name].data.uv_layers["Lightmap"])
+    less, _ = given(resolution=128, atlas=True)
+    ratio = less["Floor"]["texels_per_metre"] / less["Ceiling"]["texels_per_metre"]
+    assert 3 < ratio * got["Ceiling"]["texels_per_metre"] / got["Floor"]["texels_per_metre"] < 5
+
+
+def test_images_of_many_objects_follow_their_size_and_say_so():
+    for k in range(24):
+        plane(f"Prop {k:02}", 2.0 if k < 12 else 0.1, at=(3 * k, 0))
+    got, bake = given(resolution=64)
+    assert {got[f"Prop {k:02}"]["texels"] > 0.8 * 64**2 for k in range(12)} == {True}
+    assert {got[f"Prop {k:02}"]["texels"] <= 32**2 for k in range(12, 24)} == {True}
+    (said,) = [n for n in bake.notices if n.object == "Lightmaps"]
+    assert "12 of 32, 12 of 64" in said.reason and said.severity == "info"
