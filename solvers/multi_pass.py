@@ -32,7 +32,7 @@ from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.registry import BOTH_NATURES, SHOOTING_THEN_GATHERING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Solution, Step
-from ..adjoint_gi.core.radiosity.lamp_light import dark_notices, receiver_light
+from ..adjoint_gi.core.radiosity.lamp_light import light_notices, receiver_light
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
 from ..adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP, DiffuseShooting, Grouping, Southwell, balance
 from ..adjoint_gi.core.radiosity.trapped import Trap
@@ -158,7 +158,7 @@ class MultiPassRun:
         """Yield the share of the first pass done and what is being done."""
         s, run = self.settings, self.run
         yield from self.outside.run(0.2)
-        run.warnings += dark_notices(self.elements, self.outside.straight)
+        run.warnings += light_notices(self.elements, self.outside.straight)
         for share in self.answer.prepare():
             yield 0.2 + 0.1 * share, f"Receivers, {share:.0%}"
         # Light of lamps via mirrors is indirect; it comes in after the state has begun, as its second class.

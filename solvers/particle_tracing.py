@@ -34,6 +34,7 @@ from ..adjoint_gi.core.elements.answer import elements_for
 from ..adjoint_gi.core.flux.tally import Batch, ElementScore, ReceiverScore, Tally
 from ..adjoint_gi.core.lights.emission import Emission
 from ..adjoint_gi.core.method import common_settings as common
+from ..adjoint_gi.core.method import noise
 from ..adjoint_gi.core.method.clock import Clock
 from ..adjoint_gi.core.method.registry import NONDETERMINISTIC, SHOOTING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Solution, Step
@@ -134,6 +135,8 @@ class ParticleTracing(Solver):
             shot.warnings += empty_notices(self.spec.label, shot.tally)
         shot.left_out = path_limit.left_out(shot.tally.ends.tail, shot.tally.ends.arrived)
         shot.warnings += path_limit.notices(shot.left_out, settings.max_length)
+        error = shot.clock.history[-1][1] if shot.clock.history else None
+        shot.warnings += noise.notices(error, settings, self.spec.label, receivers.measure, len(shot.emission.names))
         shot.partial = False
         yield from shot.clock.last(Step(1.0, f"{shot.tally.count:,} particles", shot.solution))
 

@@ -29,6 +29,7 @@ from ..adjoint_gi.core.bsdf.lobes import DIFFUSE_LOBES
 from ..adjoint_gi.core.elements.answer import element_count
 from ..adjoint_gi.core.elements.rays import ElementRays
 from ..adjoint_gi.core.method import common_settings as common
+from ..adjoint_gi.core.method import noise
 from ..adjoint_gi.core.method.registry import NONDETERMINISTIC, SHOOTING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import EnergyBalance, Step
 from ..adjoint_gi.core.radiosity.element_run import Found, RadiosityRun
@@ -106,6 +107,8 @@ class StochasticJacobi(Solver):
                 yield from run.step(done, f"Run {number} of {run.count}, {left:.2%} of the light unshot")
             run.mean.add(state)
             run.clock.note(run.mean.relative_error())
+
+        run.warnings += noise.notices(run.mean.relative_error(), settings, self.spec.label, receivers.measure, 0)
 
         # 4. Their mean.
         yield from run.finish(f"{run.count} runs")

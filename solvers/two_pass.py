@@ -33,7 +33,7 @@ from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.registry import BOTH_NATURES, GATHERING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
-from ..adjoint_gi.core.radiosity.lamp_light import dark_notices
+from ..adjoint_gi.core.radiosity.lamp_light import light_notices
 from ..adjoint_gi.core.radiosity.relaxation import jacobi
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
 from ..adjoint_gi.core.receivers.base import Receivers
@@ -155,7 +155,7 @@ class FirstPass:
         """Yield the share done and what is being done."""
         # 1. Light of lamps and background, straight and via mirrors.
         yield from self.outside.run(0.4)
-        self.warnings += dark_notices(self.elements, self.outside.straight)
+        self.warnings += light_notices(self.elements, self.outside.straight)
         # 2. Fext(ij) of the sides that reflect diffusely, or that are asked for.
         t = self.transport
         sides = np.arange(len(t.area)) if self.all_sides else np.flatnonzero(t.rho.max(axis=1) > 0)

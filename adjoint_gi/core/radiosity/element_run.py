@@ -21,7 +21,7 @@ from ..method.solution import EnergyBalance, Solution, Step
 from ..receivers.base import Receivers
 from ..scene.world import World
 from ..walks import path_limit
-from .lamp_light import LampLight, dark_notices, receiver_light
+from .lamp_light import LampLight, light_notices, receiver_light
 from .settings import RadiositySettings
 
 
@@ -97,7 +97,7 @@ class ElementRun:
 
     def check_lit(self, arriving: np.ndarray) -> None:
         """Say so where nothing emits and nothing arrives from outside the elements, `arriving` (2 ne, ..)."""
-        self.warnings += dark_notices(self.elements, arriving)
+        self.warnings += light_notices(self.elements, arriving)
 
     # ---- results
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..base.errors import Notice
 from ..base.parallel import in_order
+from ..elements import closeness
 from ..elements.answer import Gather
 from ..elements.elements import Elements
 from ..elements.rays import shifted_points
@@ -80,8 +81,14 @@ class LampLight:
             yield done / total
 
 
-def dark_notices(elements: Elements, irradiance: np.ndarray) -> tuple[Notice, ...]:
-    """A warning where nothing gives light at all."""
+def light_notices(elements: Elements, irradiance: np.ndarray) -> tuple[Notice, ...]:
+    """Warnings where nothing gives light at all, and where light starts too close to other surfaces for the elements.
+
+    irradiance (2 ne, ..): of lamps and background.
+    """
     if elements.emitted.any() or irradiance.any():
-        return ()
+        sent = np.repeat(elements.emitted, 2, axis=0)
+        if irradiance.shape == sent.shape:
+            sent = sent + np.repeat(elements.albedo, 2, axis=0) * irradiance
+        return closeness.notices(elements, np.repeat(elements.area, 2) * sent.sum(axis=1))
     return (Notice("Scene", "nothing emits light that reaches a surface, so the result is black", "Add a lamp, emission or a background"),)

@@ -17,6 +17,7 @@ from ..base.errors import Notice
 from ..base.parallel import in_order
 from ..base.settings import Settings
 from ..lights.emitters import Emitters
+from ..method import noise
 from ..method.clock import Clock
 from ..method.registry import MethodSpec
 from ..method.solution import EnergyBalance, Solution, Step
@@ -174,6 +175,8 @@ class Run:
         if self.left_out is None:
             self.left_out = self._left_out()
         self.warnings += path_limit.notices(self.left_out, self.settings.max_length)
+        error = self.clock.history[-1][1] if self.clock.history else None
+        self.warnings += noise.notices(error, self.settings, self.spec.label, self.receivers.measure, lights_of(self.emitters))
         self.partial = False
         yield from self.clock.last(Step(1.0, text, self.solution))
 
@@ -266,6 +269,12 @@ class Run:
             partial=self.partial,
             extra=extra,
         )
+
+
+def lights_of(emitters: Emitters) -> int:
+    """Lamps that give light, and objects that emit."""
+    owner = emitters.world.scene.object[emitters.triangles]
+    return int((emitters.lamps.importance > 0).sum()) + len(np.unique(owner))
 
 
 def sliced(chunks: Iterator[Points], batch: int) -> Iterator[Points]:

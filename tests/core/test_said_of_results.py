@@ -1,0 +1,122 @@
+"""What a result says of itself: elements that are too coarse for what lies close together, and noise."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core.elements.closeness import close_light
+from adjgi.adjoint_gi.core.elements.elements import Elements
+from adjgi.adjoint_gi.core.flux.tally import Batch, Tally
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.lights.emitters import Emitters
+from adjgi.adjoint_gi.core.method import noise
+from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
+from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.adjoint_gi.core.walks.gathering import Run
+from adjgi.adjoint_gi.core.walks.particles import Ends
+from adjgi.tests import scenes
+from adjgi.tests.solving import scattered, solve
+
+ON_ELEMENTS = {
+    "progressive_radiosity": {"rays": 10_000, "tolerance": 0.1},
+    "matrix_radiosity": {"rays": 16, "max_edge": 0.5},
+    "stochastic_jacobi": {"rays": 10_000, "max_edge": 0.5},
+    "two_pass": {"samples": 1, "rays": 8, "max_edge": 0.5},
+    "multi_pass": {"samples": 1, "rays": 10_000, "tolerance": 0.1, "max_edge": 0.5},
+    "spherical_harmonics": {"rays": 10_000, "tolerance": 0.1, "max_edge": 0.5},
+    "directional_radiosity": {"bin_rows": 2, "bin_columns": 4, "rays": 16, "max_edge": 1.0},
+}
+
+
+def room(gap):
+    """A room of 4 x 4 x 3 m with an emitting panel of 1 m below its ceiling."""
+    b = SceneBuilder()
+    b.box("Room", (0, 0, 0), (4, 4, 3), diffuse("White", 0.7), inward=True)
+    b.quad("Panel", (1.5, 1.5, 3 - gap), (0, 1, 0), (1, 0, 0), diffuse("Panel", 0.0, 10.0))
+    return World(b.build())
+
+
+def said(solution, words):
+    """The notices that have these words."""
+    return [w for w in solution.warnings if words in w.reason]
+
+
+@pytest.mark.parametrize("name", ON_ELEMENTS)
+def test_a_panel_close_to_the_ceiling_is_said_by_methods_on_elements(name):
+    world = room(0.01)
+    (one,) = said(solve(name, world, scattered(world, 20), seed=1, **ON_ELEMENTS[name]), "closer than elements are wide")
+    assert one.names == ("Panel",) and "50% of the light" in one.reason and "0.01 m" in one.remedy and "Path Tracing" in one.remedy
+
+
+@pytest.mark.parametrize(("gap", "edge", "share"), [(0.01, 0.25, 0.5), (0.5, 0.25, 0.0), (0.1, 0.5, 0.5), (0.1, 0.1, 0.0)])
+def test_closeness_is_that_of_the_elements_and_not_of_the_scene(gap, edge, share):
+    """Half of the panel's light goes up."""
+    e = Elements(room(gap), edge)
+    flux = np.repeat(e.area, 2) * np.repeat(e.emitted, 2, axis=0).sum(axis=1)
+    part, nearest = close_light(e, flux)
+    assert part.sum() / flux.sum() == pytest.approx(share, abs=1e-6)
+    assert np.isinf(nearest).all() if share == 0 else nearest.min() == pytest.approx(gap, rel=0.6)
+
+
+def test_corners_of_rooms_are_not_close():
+    for scene in (scenes.cube(0.5, 1.0), scenes.room(), scenes.two_zone_sphere(2)):
+        world = World(scene)
+        for target in (200, 2000):
+            e = Elements(world, 0.0, target)
+            flux = np.repeat(e.area, 2)
+            assert close_light(e, flux)[0].sum() < 0.02 * flux.sum()
+
+
+def test_noise_is_said_with_what_it_takes():
+    settings = method("path_tracing").Settings(samples=256)
+    assert noise.notices(None, settings, "Path Tracing", "irradiance", 1) == ()
+    assert noise.notices(0.1, settings, "Path Tracing", "irradiance", 1) == noise.notices(float("inf"), settings, "x", "radiance", 1) == ()
+    (one,) = noise.notices(0.2, settings, "Path Tracing", "irradiance", 144)
+    assert "about 20%" in one.reason and "4,096 Samples (samples) bring it to 5%" in one.remedy
+    assert "144 lights Particle Tracing" in one.remedy
+    (one,) = noise.notices(0.2, settings, "Path Tracing", "radiance", 1)
+    assert "pixels" in one.reason and "Multi-Pass" in one.remedy
+    (one,) = noise.notices(0.4, method("particle_tracing").Settings(particles=1000), "Particle Tracing", "irradiance", 1)
+    assert "65,536 Particles (particles)" in one.remedy and "Path Tracing" in one.remedy
+
+
+def test_a_noisy_result_says_so_once_and_a_clean_one_does_not():
+    world = World(scenes.cornell(8, 8))
+    path = method("path_tracing")
+
+    def run(samples):
+        *_, last = path.solve(world, CameraReceivers(world), path.Settings(samples=samples), np.random.default_rng(1))
+        return last.solution()
+
+    noisy = run(32)
+    (one,) = said(noisy, "noise of single pixels")
+    assert f"about {noisy.history[-1][1]:.0%}" in one.reason and one.severity == "info"
+    assert not said(solve("path_tracing", World(scenes.cube(0.5, 1.0)), scattered(World(scenes.cube(0.5, 1.0)), 50)), "noise")
+
+
+def test_the_stated_error_is_that_of_one_group_fewer():
+    """Three groups of the same size: the variance of their mean is their spread over two, divided by three."""
+    world = World(scenes.cube())
+    run = Run(method("path_tracing").spec, world, scattered(world, 400), method("path_tracing").Settings(), Emitters(world))
+    values = np.random.default_rng(3).normal(10, 1, (3, 400))
+    for v in values:
+        total = np.repeat(v[:, None] / 3, 3, axis=1) * 8
+        run.film.add(slice(0, 400), 8, total, 0 * total)
+    want = np.sqrt((values.var(axis=0, ddof=1) / 3).mean()) / values.mean()
+    assert run.film.relative_error() == pytest.approx(want, rel=1e-6)
+
+
+def test_particles_state_the_error_of_one_batch_fewer():
+    values, area = np.random.default_rng(3).normal(10, 1, (3, 50)), np.random.default_rng(4).random(50) + 0.5
+    tally = Tally(50, 1)
+    for v in values:
+        tally.add(Batch(7, np.repeat(v[:, None] / 3, 3, axis=1), np.zeros((50, 3)), area, np.zeros((1, 3)), Ends()))
+    mean, variance = values.mean(axis=0), values.var(axis=0, ddof=1) / 3
+    assert tally.relative_error() == pytest.approx(np.sqrt((variance / area).sum() / (mean**2 / area).sum()), rel=1e-6)
+
+
+def test_settings_that_have_no_samples_are_told_of_rays():
+    settings = dataclasses.replace(method("irradiance_cache").Settings(), rays=64)
+    (one,) = noise.notices(0.5, settings, "Irradiance Caching", "irradiance", 1)
+    assert one.remedy.startswith("More rays and light samples lower it.")
