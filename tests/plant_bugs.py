@@ -305,6 +305,27 @@ BUGS = (
         "distance < 0",
         "tests/core/test_said_of_results.py -k panel",
     ),
+    Bug(
+        "roulette weight lost in chains",
+        "adjoint_gi/core/walks/mirror_chains.py",
+        "weight[survive] / chance[:, None]",
+        "weight[survive]",
+        "tests/core/test_first_passes.py -k chains",
+    ),
+    Bug(
+        "known light below min_length 3",
+        "adjoint_gi/core/two_pass/known_light.py",
+        "for k, h in enumerate(by_length) if 2 <= k < least), np.zeros_like(first))",
+        "for k, h in enumerate(by_length) if 2 < k < least), np.zeros_like(first))",
+        "tests/core/test_first_passes.py -k known",
+    ),
+    Bug(
+        "ambient estimate ignoring escape",
+        "adjoint_gi/core/radiosity/southwell.py",
+        "* stays / whole / np.maximum(1 - mean_rho * stays, 1e-3)",
+        "/ whole / np.maximum(1 - mean_rho * stays, 1e-3)",
+        "tests/core/test_first_passes.py -k ambient",
+    ),
 )
 
 

@@ -35,15 +35,15 @@ def close_light(elements: Elements, flux: np.ndarray) -> tuple[np.ndarray, np.nd
     sides = np.argsort(-flux, kind="stable")[:MOST_SIDES]
     sides = np.sort(sides[flux[sides] > 0])
     objects = len(elements.world.scene.objects)
-    part, nearest = np.zeros(objects), np.full(objects, np.inf)
+    nearest = np.full(objects, np.inf)
     if not len(sides):
-        return part, nearest
+        return np.zeros(objects), nearest
     distance, width = middle_distances(elements, sides), np.sqrt(elements.area[sides >> 1])
     near = np.flatnonzero(distance < CLOSE * width)
     owner = elements.world.scene.object[elements.patch_triangle[elements.patch[sides[near] >> 1]]]
-    np.add.at(part, owner, flux[sides[near]])
-    np.minimum.at(nearest, owner, distance[near])
-    return part, nearest
+    for index in np.unique(owner):
+        nearest[index] = distance[near[owner == index]].min()
+    return np.bincount(owner, flux[sides[near]], objects), nearest
 
 
 def notices(elements: Elements, flux: np.ndarray) -> tuple[Notice, ...]:
