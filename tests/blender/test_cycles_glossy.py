@@ -146,7 +146,7 @@ OTHER = {
     "metallic 0.5 multiple": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Metallic=1.0, Roughness=0.5), 0.0),
     "dielectric 0.5": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Roughness=0.5, IOR=1.5), 0.001),
     "dielectric 0.1": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Roughness=0.1, IOR=1.45), 0.001),
-    "principled, metallic 0.5": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Metallic=0.5, Roughness=0.5), 0.0),
+    "principled, metallic 0.5": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Metallic=0.5, Roughness=0.5), -0.002),
     "principled, alpha 0.5": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Alpha=0.5, Roughness=0.5), 0.0),
     "principled, transmission 0.5": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Transmission_Weight=0.5, Roughness=0.3), 0.0),
     "principled, a tenth": (

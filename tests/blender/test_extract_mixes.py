@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Mixed shaders to lobes: mixing changes weights, never the colours of which Fresnel's terms are computed; coats keep their bases."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
+from adjgi.adjoint_gi.core.bsdf import table as bsdf
+from adjgi.tests.cycles_patch import empty_material, white_plane
+
+PRINCIPLED, DIFFUSE = "ShaderNodeBsdfPrincipled", "ShaderNodeBsdfDiffuse"
+WHITE, BLACK, GOLD = (1, 1, 1, 1), (0, 0, 0, 1), (0.9, 0.6, 0.3, 1)
+
+
+def shader(material, kind, **values):
+    node = material.node_tree.nodes.new(kind)
+    for key, value in values.items():
+        node.inputs[key.replace("_", " ")].default_value = value
+    return node.outputs[0]
+
+
+def joined(material, first, second, factor=None):
+    """The output of a Mix Shader, or without a factor of an Add Shader."""
+    node = material.node_tree.nodes.new("ShaderNodeAddShader" if factor is None else "ShaderNodeMixShader")
+    sockets = list(node.inputs)[-2:]
+    if factor is not None:
+        node.inputs[0].default_value = factor
+    for source, socket in zip((first, second), sockets, strict=True):
+        material.node_tree.links.new(source, socket)
+    return node.outputs[0]
+
+
+def arrays_of(material, output):
+    material.node_tree.links.new(output, material.node_tree.nodes["Material Output"].inputs["Surface"])
+    white_plane(2.0, material)
+    return extract(bpy.context.evaluated_depsgraph_get())
+
+
+def albedo(arrays, degrees, n=100_000):
+    """(3,) share of uniform light that is sent towards an angle from the normal, and its standard error."""
+    angle = np.radians(degrees)
+    up, wo = (np.tile(np.float32(w), (n, 1)) for w in ((0, 0, 1), (np.sin(angle), 0, np.cos(angle))))
+    at = np.zeros(n, np.int32), np.full(n, 0.3, np.float32), np.full(n, 0.3, np.float32)
+    weight = bsdf.sample(bsdf.BsdfTable(arrays).at(*at, up, np.ones(n, np.float32), wo), np.random.default_rng(1)).weight.astype(float)
+    return weight.mean(axis=0), weight.std(axis=0) / np.sqrt(n)
+
+
+def test_nested_mixes_multiply_weights_and_leave_colours():
+    m = empty_material("m")
+    metal = shader(m, PRINCIPLED, Base_Color=GOLD, Metallic=1.0, Roughness=0.3)
+    inner = joined(m, shader(m, DIFFUSE, Color=WHITE), metal, 0.5)
+    outer = joined(m, inner, metal, 0.2)
+    found = {x.kind: x for x in arrays_of(m, outer).materials[0].lobes}
+    assert set(found) == {"diffuse", "metallic"}
+    assert found["metallic"].color.constant == pytest.approx(GOLD[:3]) and found["metallic"].weight == pytest.approx(0.4 + 0.2)
+    assert found["diffuse"].share.constant == pytest.approx((0.4,) * 3)
+
+
+@pytest.mark.parametrize("degrees", [0, 60, 87])
+@pytest.mark.parametrize("roughness", [0.0, 0.3])
+def test_half_diffuse_half_metal_makes_no_light(degrees, roughness):
+    """In a furnace of 1; it was 1.39 and 1.17 at 3 degrees from the surface."""
+    m = empty_material("m")
+    metal = shader(m, PRINCIPLED, Base_Color=WHITE, Metallic=1.0, Roughness=roughness)
+    found, error = albedo(arrays_of(m, joined(m, shader(m, DIFFUSE, Color=WHITE), metal, 0.5)), degrees)
+    assert (np.abs(found - 1.0) < 5 * error + 0.01).all()
+
+
+def test_black_metal_is_kept():
+    m = empty_material("m")
+    (lobe,) = arrays_of(m, shader(m, PRINCIPLED, Base_Color=BLACK, Metallic=1.0, Roughness=0.3)).materials[0].lobes
+    assert lobe.kind == "metallic" and lobe.color.is_black and lobe.weight == 1.0
+
+
+@pytest.mark.parametrize("name", ["Alpha", "Metallic", "Transmission_Weight"])
+@pytest.mark.parametrize("degrees", [30, 80])
+def test_white_principled_loses_and_makes_nothing_whatever_its_parts(name, degrees):
+    m = empty_material("m")
+    values = {"Base_Color": WHITE, "Roughness": 0.0, name: 0.5}
+    found, error = albedo(arrays_of(m, shader(m, PRINCIPLED, **values)), degrees)
+    assert (np.abs(found - 1.0) < 5 * error + 0.004).all()
+
+
+def test_two_principled_keep_their_coats_apart():
+    """A tenth of one below a coat: the rest, bare, stays as it is."""
+    m = empty_material("m")
+    first = shader(m, PRINCIPLED, Base_Color=GOLD, Roughness=0.5, Specular_IOR_Level=0.0)
+    second = shader(m, PRINCIPLED, Base_Color=WHITE, Roughness=0.0, IOR=1.5)
+    arrays = arrays_of(m, joined(m, first, second, 0.1))
+    stacks = {x.kind: x.stack for x in arrays.materials[0].lobes if x.color.constant == (1.0, 1.0, 1.0)}
+    assert stacks["specular"] > 0
+    below = [x for x in arrays.materials[0].lobes if x.kind == "diffuse" and x.stack == stacks["specular"]]
+    assert [x.share.constant for x in below] == [pytest.approx((0.1,) * 3)]
+    found, error = albedo(arrays, 80)
+    assert (np.abs(found - (0.9 * np.array(GOLD[:3]) + 0.1)) < 5 * error + 0.002).all()
+
+
+def test_added_shaders_are_scaled_down_with_their_coats():
+    """Two white Principled nodes would send back twice what arrives."""
+    m = empty_material("m")
+    nodes = [shader(m, PRINCIPLED, Base_Color=WHITE, Roughness=r) for r in (0.2, 0.4)]
+    found, error = albedo(arrays_of(m, joined(m, *nodes)), 75)
+    assert (np.abs(found - 1.0) < 5 * error + 0.01).all()
