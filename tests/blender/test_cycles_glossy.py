@@ -161,7 +161,7 @@ OTHER = {
         ),
         0.0,
     ),
-    "dielectric 0.5 tinted": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Roughness=0.5, Specular_Tint=GOLD), 0.013),
+    "dielectric 0.5 tinted": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Roughness=0.5, Specular_Tint=GOLD), 0.006),
     "principled coat": (shader(PRINCIPLED, Base_Color=GOLD, Roughness=0.5, Coat_Weight=1.0), -0.015),
     "anisotropic 0.8": (shader(GLOSSY, Color=GOLD, Roughness=0.3, Anisotropy=0.8), 0.182),
     "metallic node": (shader("ShaderNodeBsdfMetallic", Roughness=0.2), 0.008),
