@@ -258,6 +258,7 @@ def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     if record.has_balance:
         rows += [
             ("Emitted", text.watts(record.emitted)),
+            ("Entering", text.watts(record.entering)),
             ("Absorbed", text.watts(record.absorbed)),
             ("Escaped", text.watts(record.escaped)),
         ]
@@ -266,7 +267,7 @@ def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         rows.append(("Balance Gap", text.percent(record.gap)))
     elif record.emitted:
         # A gathering method follows no light from its source, so where it goes is not known.
-        rows.append(("Emitted", text.watts(record.emitted)))
+        rows += [("Emitted", text.watts(record.emitted)), ("Entering", text.watts(record.entering))]
     table(layout, context, rows)
     warnings = [i.notice() for i in record.notices if i.severity != "info" and i.notice() not in shown]
     boxed(layout, context, warnings)

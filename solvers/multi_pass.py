@@ -31,7 +31,7 @@ from ..adjoint_gi.core.elements.rays import ElementRays
 from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.registry import BOTH_NATURES, SHOOTING_THEN_GATHERING, MethodSpec, Solver, lines, register
-from ..adjoint_gi.core.method.solution import Solution, Step
+from ..adjoint_gi.core.method.solution import EnergyBalance, Solution, Step
 from ..adjoint_gi.core.radiosity.lamp_light import light_notices, receiver_light
 from ..adjoint_gi.core.radiosity.settings import RadiositySettings
 from ..adjoint_gi.core.radiosity.southwell import MOST_RAYS_PER_GROUP, DiffuseShooting, Grouping, Southwell, balance
@@ -202,7 +202,10 @@ class MultiPassRun:
         arrays = {name: mix(name) for name in ("emitted", "direct", "indirect", "albedo")}
         weight = np.maximum(parts.weight, second.weight)
         rays, extra = second.rays if self.parts else self.rays, parts.extra | second.extra
-        return dataclasses.replace(second, **arrays, weight=weight, rays=rays, balance=balance(self.state), extra=extra)
+        return dataclasses.replace(second, **arrays, weight=weight, rays=rays, balance=self._balance(), extra=extra)
+
+    def _balance(self) -> EnergyBalance:
+        return balance(self.state).with_passing(self.run.emitters.flux.passing)
 
     def _now(self) -> Parts:
         """The first answer with an estimate for the light that has not been shot yet."""

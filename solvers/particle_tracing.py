@@ -33,6 +33,7 @@ from ..adjoint_gi.core.bsdf.table import LOBE_KINDS, BsdfTable
 from ..adjoint_gi.core.elements.answer import elements_for
 from ..adjoint_gi.core.flux.tally import Batch, ElementScore, ReceiverScore, Tally
 from ..adjoint_gi.core.lights.emission import Emission
+from ..adjoint_gi.core.lights.flux import light_flux
 from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method import noise
 from ..adjoint_gi.core.method.clock import Clock
@@ -148,6 +149,7 @@ class ParticleRun:
         self.spec, self.world, self.receivers, self.settings = spec, world, receivers, settings
         self.clock = Clock()
         self.emission, table = Emission(world), BsdfTable(world.scene)
+        self.flux = light_flux(world, self.emission.mesh, self.emission.lamps, self.emission.background)
         self.table = None if table.only_diffuse else table
         if at_receivers(receivers, settings):
             self.score = ReceiverScore(world, receivers, settings, settings.particles, settings.radius)
@@ -195,6 +197,8 @@ class ParticleRun:
             rays=tally.ends.rays + rays,
             balance=tally.balance(),
             left_out=self.left_out,
+            emitted_flux=self.flux.emitted,
+            entering_flux=self.flux.entering,
             warnings=self.warnings,
             settings=self.settings.as_dict(),
             partial=self.partial,

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import AdjointError
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import Nature, method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.receivers.vertices import vertex_receivers
@@ -277,6 +278,29 @@ def test_every_kind_of_receivers_is_answered(name, kind):
         found = found[0::2]  # the backs see nothing
     want = {"all": 2.0, "direct": 1.5, "potential": 2.0}[row.kind] / (PI if s.measure == "radiance" else 1)
     assert found.mean() == pytest.approx(want, rel=0.03)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_method_means_the_same_by_emitted_and_entering(name):
+    """A sun of 1 W/m2 upon a closed unit room puts 1 W of each colour on its roof; a lamp over a sheet sends most of its light past it."""
+    if ROWS[name].kind == "potential":
+        pytest.skip("a share, not a flux")
+    for at, emitted, entering in (("room", 3.0, 3.0), ("sheet", 12 * PI, 2 * PI)):
+        b = SceneBuilder()
+        if at == "room":
+            b.box("Room", (0, 0, 0), (1, 1, 1), diffuse("Grey", 0.5), inward=True)
+            b.light(Light("Sun", "sun", (1.0, 1.0, 1.0)))
+        else:
+            b.quad("Sheet", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
+            b.light(Light("Lamp", "point", (1.0, 1.0, 1.0), (0.5, 0.5, 0.5)))
+        scene = b.build()
+        world = World(scene)
+        s = solve(name, on_elements(scene, 0.5), **quick(name, scene))
+        assert (s.emitted_flux, s.entering_flux) == (Emitters(world).flux.emitted, Emitters(world).flux.entering)
+        assert (s.emitted_flux, s.entering_flux) == pytest.approx((emitted, entering), rel=0.01)
+        if s.balance is not None:
+            assert s.balance.emitted == pytest.approx(emitted, rel=0.04)
+            assert s.balance.absorbed + s.balance.escaped + s.balance.unshot == pytest.approx(s.balance.emitted, rel=0.02)
 
 
 SHOWING_MIRRORS = ("whitted", "distribution", "path_tracing", "two_pass", "multi_pass")

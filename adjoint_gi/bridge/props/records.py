@@ -39,6 +39,7 @@ class ADJOINTGI_PG_result(bpy.types.PropertyGroup):
     partial: bpy.props.BoolProperty(description="The bake was stopped before its end")
     has_balance: bpy.props.BoolProperty()
     emitted: bpy.props.FloatProperty(description="Flux in W, sum of the channels")
+    entering: bpy.props.FloatProperty(description="Flux in W that arrives at surfaces before any reflection, sum of the channels")
     absorbed: bpy.props.FloatProperty(description="Flux in W, sum of the channels")
     escaped: bpy.props.FloatProperty(description="Flux in W, sum of the channels")
     unshot: bpy.props.FloatProperty(description="Flux in W, sum of the channels")
@@ -70,9 +71,8 @@ def store(
     if solution.balance is not None:
         b = solution.balance
         record.has_balance = True
-        record.emitted, record.absorbed, record.escaped, record.unshot, record.gap = b.emitted, b.absorbed, b.escaped, b.unshot, b.gap
-    else:
-        record.emitted = solution.emitted_flux
+        record.absorbed, record.escaped, record.unshot, record.gap = b.absorbed, b.escaped, b.unshot, b.gap
+    record.emitted, record.entering = solution.emitted_flux, solution.entering_flux
     name = solution.whole if target == "render" else quantity
     got = solution.weight > 0
     if got.any():

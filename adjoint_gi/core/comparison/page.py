@@ -255,6 +255,8 @@ def _entry(result: Result, e: Entry) -> dict[str, Any]:
         "flux_gathered": result.gathered(e),
         "flux_shot": shot[0] if shot is not None else None,
         "duality_gap": gap,
+        "emitted_flux": e.solution.emitted_flux,
+        "entering_flux": e.solution.entering_flux,
         "energy_balance": None
         if balance is None
         else {

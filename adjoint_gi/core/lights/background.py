@@ -28,6 +28,7 @@ class Background(LightKind):
     """
 
     names = ("Background",)
+    far = True
     shadow = np.ones(1, bool)
     importance = np.zeros(1)
 

@@ -67,6 +67,7 @@ class LightKind:
     importance  (k,) float64 rough power in W, the channels summed, by which light sampling picks
     shadow      (k,) bool: whether things cast shadows in its light
     sized       whether rays can meet them
+    far         whether the light comes from outside of the scene, whose `flux` is then the power that enters the sphere around it
 
     Besides what is here a kind answers what rays see of it, with the density of `sample` for their directions: lamps, which rays pass
     through, by `seen`; meshes, which rays hit, by `radiance` and `pdf_w` of the hit; the background by those of the direction.
@@ -78,6 +79,7 @@ class LightKind:
     importance: np.ndarray
     shadow: np.ndarray
     sized = True
+    far = False
 
     @cached_property
     def scene_radius(self) -> float:

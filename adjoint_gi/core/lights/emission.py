@@ -14,6 +14,7 @@ from ..sampling.additive import STEPS, additive
 from ..scene.arrays import RayKind
 from ..scene.world import World
 from .background import Background
+from .base import ParticleSource
 from .lamps import Lamps
 from .mesh import MeshLights
 
@@ -25,6 +26,7 @@ class Particles:
     origin, direction (n, 3) float32, recentred and unit; weight (n, 3) float32 power of each colour, W;
     light (n,) int32 index into `Emission.names`; dark (n,) float32: how far each lights nothing (`PointLights`), metres;
     reach (n,) float32 or None: how far the first flight may go (a camera's far clipping plane), metres. kind: `RayKind` of that flight.
+    far (n,) bool or None: from light that comes from outside of the scene, of which what misses it does not count as emitted.
     """
 
     origin: np.ndarray
@@ -34,6 +36,7 @@ class Particles:
     dark: np.ndarray
     reach: np.ndarray | None = None
     kind: np.uint8 = RayKind.SHADOW
+    far: np.ndarray | None = None
 
 
 class Emission:
@@ -44,10 +47,13 @@ class Emission:
             the scene, much of which passes by. For a textured emission it is a quadrature, although draws use the exact values.
     """
 
-    def __init__(self, world: World) -> None:
-        self.mesh = MeshLights(world)
-        sources = self.mesh.sources() + Lamps(world).sources() + Background(world).sources()
+    def __init__(self, world: World, sources: list[ParticleSource] | None = None) -> None:
+        """`sources`: only these."""
+        self.mesh, self.lamps, self.background = MeshLights(world), Lamps(world), Background(world)
+        if sources is None:
+            sources = self.mesh.sources() + self.lamps.sources() + self.background.sources()
         self._sources = sources
+        self._far = np.array([s.kind.far for s in sources], bool)
         self.names = tuple(s.name for s in sources)
         self.flux = np.array([s.flux for s in sources], np.float64).reshape(-1, 3)
 
@@ -97,4 +103,4 @@ class Emission:
                 if rays.dark is not None:
                     dark[part] = rays.dark
         weight /= (n * self._probability[cell])[:, None].astype(np.float32)
-        return Particles(origin, direction, weight, light, dark)
+        return Particles(origin, direction, weight, light, dark, far=self._far[light])

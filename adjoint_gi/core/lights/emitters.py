@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ from ..sampling import maps as sampling
 from ..sampling.maps import PowerTable, columns
 from ..sampling.sobol import hashed
 from .background import Background
+from .flux import LightFlux, light_flux
 from .lamps import Lamps
 from .mesh import MeshLights
 
@@ -110,6 +112,11 @@ class Emitters:
         self.shared = shared if len(shared) <= MOST_LAMPS else shared[:0]
         self._is_shared = np.zeros(self.lamps.count, bool)
         self._is_shared[self.shared] = True
+
+    @cached_property
+    def flux(self) -> LightFlux:
+        """What all of them emit, and what enters surfaces."""
+        return light_flux(self.world, self.mesh, self.lamps, self.background)
 
     def _table(self, mesh: bool, background: bool) -> _Table:
         if mesh:

@@ -23,6 +23,8 @@ class SunLights(LampKind):
     Their `flux` is the power that enters the sphere around the scene, much of which passes by.
     """
 
+    far = True
+
     def __init__(self, lights: Sequence[Light], world: World) -> None:
         super().__init__(lights, world)
         self._cone = (2 * np.sin(0.5 * self._half()) ** 2).astype(np.float32)  # 1 - cos, exact for small angles

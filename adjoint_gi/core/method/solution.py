@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,10 @@ class EnergyBalance:
     escaped: float
     unshot: float = 0.0
     particles: tuple[int, int, int, int] | None = None
+
+    def with_passing(self, flux: float) -> EnergyBalance:
+        """The same where light of lamps that meets no surface, `flux`, was not counted."""
+        return replace(self, emitted=self.emitted + flux, escaped=self.escaped + flux)
 
     @property
     def gap(self) -> float:
@@ -56,7 +60,8 @@ class Solution:
     seconds: float = 0.0  # of work up to this step; the time in which its consumer held a step is none (`method.clock`)
     balance: EnergyBalance | None = None
     left_out: float | None = None  # share of the light that a longest path leaves out, estimated (`walks.path_limit`); None: not known
-    emitted_flux: float = 0.0  # of lamps and surfaces, W, channels summed; for gathering methods, which have no balance
+    emitted_flux: float = 0.0  # of all emitters, W, channels summed; both as `core.lights.flux` defines them, for every method
+    entering_flux: float = 0.0  # what of it arrives at surfaces before any reflection
     history: tuple[tuple[float, float], ...] = ()  # (seconds of work, residual, unshot share or relative standard error)
     warnings: tuple[Notice, ...] = ()
     settings: dict[str, Any] = field(default_factory=dict)

@@ -105,7 +105,7 @@ class ElementRun:
         find, warnings = self.find, self.warnings
 
         def solution() -> Solution:
-            found = find(partial)
+            found, flux = find(partial), self.emitters.flux
             longest = getattr(self.settings, "max_length", NO_LIMIT)
             left_out = None if partial else path_limit.left_unshot(found.balance, longest)
             return Solution(
@@ -113,7 +113,9 @@ class ElementRun:
                 self.receivers.measure,
                 **{**found.parts.arrays(), "extra": {**found.parts.extra, **found.extra}},
                 rays=found.rays,
-                balance=found.balance,
+                balance=found.balance and found.balance.with_passing(flux.passing),
+                emitted_flux=flux.emitted,
+                entering_flux=flux.entering,
                 left_out=left_out,
                 warnings=warnings + path_limit.notices(left_out, longest),
                 settings=self.settings.as_dict(),

@@ -241,7 +241,7 @@ class Run:
 
     def solution(self) -> Solution:
         """A copy of the result as it stands; the clock adds the seconds and the history."""
-        film, surfaces = self.film, self.surfaces
+        film, surfaces, flux = self.film, self.surfaces, self.emitters.flux
         weight = (film.count > 0).astype(np.float32)
         extra = dict(self.extra)
         if self.is_camera:
@@ -261,9 +261,10 @@ class Run:
             albedo,
             weight,
             rays=self.rays,
-            balance=self.balance,
             left_out=self.left_out,
-            emitted_flux=float(self.emitters.power.sum()),
+            balance=self.balance and self.balance.with_passing(flux.passing),
+            emitted_flux=flux.emitted,
+            entering_flux=flux.entering,
             warnings=self.warnings,
             settings=self.settings.as_dict(),
             partial=self.partial,

@@ -42,7 +42,8 @@ Visit = Callable[[Hits], None]
 @dataclass
 class Ends:
     """How walks ended. Counts add up: emitted = absorbed + escaped + cut. Energies in W, all colours summed, add up as
-    emitted + gained = absorbed + escaped + cut.
+    emitted + gained = absorbed + escaped + cut. Particles of suns and the background that miss the scene are counted, as escaped, but
+    have no energy.
 
     What is absorbed is what does not go on, whatever ended the walk: lobes whose sampled share exceeds 1 make a particle stronger, and
     then it is negative. `gained` is what shading normals added, or took where it is negative: they bend the cosine law, which keeps
@@ -106,7 +107,12 @@ def walk(
         ends.escaped += len(segment.away)
         ends.absorbed += len(segment.row) - len(out.rows)
         alive, energy = len(out.rows), _energy(out.flight.weight)
-        ends.escaped_energy += _energy(segment.lost)
+        lost = segment.lost
+        if at.segments == 1 and particles.far is not None:
+            # Light from far away that misses the scene is no light of the scene.
+            ends.emitted_energy -= _energy(lost[particles.far[segment.away]])
+            lost = lost[~particles.far[segment.away]]
+        ends.escaped_energy += _energy(lost)
         ends.absorbed_energy += _energy(at.weight) - energy + out.gained
         ends.gained += out.gained
         ends.note(at.segments, max_length, _energy(out.arriving))

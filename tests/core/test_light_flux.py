@@ -1,0 +1,90 @@
+"""What a scene emits and what enters its surfaces, against closed forms: one definition for all methods."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.lights.emission import Emission
+from adjgi.adjoint_gi.core.lights.emitters import Emitters
+from adjgi.adjoint_gi.core.scene.arrays import Light
+from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.adjoint_gi.core.walks.particles import walk
+
+PI = math.pi
+WHITE = (1.0, 1.0, 1.0)
+
+
+def closed(emission=0.0):
+    """A closed unit room; its floor may emit, from both sides."""
+    b = SceneBuilder()
+    materials = [diffuse("Grey", 0.5)] * 4 + [diffuse("Floor", 0.5, emission), diffuse("Grey", 0.5)]
+    b.box("Room", (0, 0, 0), (1, 1, 1), materials, inward=True)
+    return b
+
+
+def sheet(emission=0.0):
+    """A unit square."""
+    b = SceneBuilder()
+    b.quad("Sheet", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5, emission))
+    return b
+
+
+def lit(b, *lights, background=0.0):
+    for light in lights:
+        b.light(light)
+    b.background = (background,) * 3
+    return b
+
+
+def point(z):
+    return Light("Point", "point", WHITE, (0.5, 0.5, z))
+
+
+def tilted(tilt, **options):
+    c, s = math.cos(tilt), math.sin(tilt)
+    return Light("Sun", "sun", WHITE, axis_y=(0, c, s), axis_z=(0, -s, c), **options)
+
+
+# Share of a point lamp's light that falls on a square of side 1, half a metre below its middle.
+BELOW = 1 / 6
+SPOT = Light("Spot", "spot", WHITE, (0.5, 0.5, 0.5), spot_angle=2.0, spot_scale=(1e6, 1.0))
+# Scene, emitted and entering W of one colour.
+CASES = {
+    "sun on a room": (lit(closed(), tilted(0.0)), 1.0, 1.0),
+    "tilted sun on a room": (lit(closed(), tilted(0.6)), math.cos(0.6) + math.sin(0.6), math.cos(0.6) + math.sin(0.6)),
+    "sun on a sheet": (lit(sheet(), tilted(0.6)), math.cos(0.6), math.cos(0.6)),
+    "sun of an angle on a sheet": (lit(sheet(), tilted(0.3, angle=0.5)), math.cos(0.3), math.cos(0.3)),
+    "background on a room": (lit(closed(), background=1.0), 6 * PI, 6 * PI),
+    "background on a sheet": (lit(sheet(), background=1.0), 2 * PI, 2 * PI),
+    "lamp in a room": (lit(closed(), point(0.4)), 4 * PI, 4 * PI),
+    "lamp over a sheet": (lit(sheet(), point(0.5)), 4 * PI, 4 * PI * BELOW),
+    "stretched spot in a room": (lit(closed(), SPOT), 4.0, 4.0),
+    "emitting floor of a room": (closed(1.0), 2 * PI, PI),
+    "emitting sheet": (sheet(1.0), 2 * PI, 0.0),
+    "all in a room": (lit(closed(1.0), point(0.4), tilted(0.0), background=1.0), 12 * PI + 1, 11 * PI + 1),
+    "nothing": (SceneBuilder(), 0.0, 0.0),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_emitted_and_entering(case):
+    scene, emitted, entering = CASES[case]
+    flux = Emitters(World(scene.build())).flux
+    assert flux.emitted == pytest.approx(3 * emitted, rel=0.004, abs=1e-9)
+    assert flux.entering == pytest.approx(3 * entering, rel=0.01, abs=1e-9)
+
+
+@pytest.mark.parametrize("case", [c for c in CASES if c != "nothing"])
+def test_particles_carry_what_is_emitted(case):
+    """Energy of suns and the background that misses the scene is no energy of theirs."""
+    scene, emitted, entering = CASES[case]
+    world = World(scene.build())
+    met = []
+    ends = walk(world, Emission(world).draw(50_000, np.random.default_rng(0)), 64, np.random.default_rng(1), met.append)
+    first = sum(float(h.arriving.sum(dtype=float)) for h in met if h.length == 1)
+    assert ends.emitted_energy == pytest.approx(3 * emitted, rel=0.02)
+    assert first == pytest.approx(3 * entering, rel=0.02)
+    assert ends.emitted_energy == pytest.approx(ends.absorbed_energy + ends.escaped_energy + ends.cut_energy, rel=1e-6)
