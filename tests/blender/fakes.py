@@ -70,6 +70,8 @@ class Fake(Solver):
                     rays=3_000_000_000 * (i + 1),
                     seconds=time.monotonic() - started,
                     balance=EnergyBalance(10.0, 8.0, 1.9),
+                    emitted_flux=10.0,
+                    entering_flux=9.5,
                     warnings=(Notice("Material Fake", "is not real", "Accept it"),),
                     settings=settings.as_dict(),
                     partial=share < 1,
