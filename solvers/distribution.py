@@ -33,6 +33,7 @@ from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Points, Receivers
 from ..adjoint_gi.core.sampling.sets import SAMPLERS, Sampler
 from ..adjoint_gi.core.scene.world import Surface, World
+from ..adjoint_gi.core.walks import unmet_lamps
 from ..adjoint_gi.core.walks.gathering import SAMPLES_PER_BATCH, Estimate, Run
 from ..adjoint_gi.core.walks.paths import NEVER, Gathered, Paths, Walk, follow
 from ..adjoint_gi.core.walks.radiance import LobeVertices, start
@@ -101,7 +102,7 @@ class Distribution(Solver):
     def solve(self, world: World, receivers: Receivers, settings: DistributionSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every few batches of samples."""
         emitters = Emitters(world)
-        run = Run(self.spec, world, receivers, settings, emitters)
+        run = Run(self.spec, world, receivers, settings, emitters, unmet_lamps.notices(emitters))
         tracer = DistributionTracer(world, emitters, receivers, settings, int(rng.integers(0, 1 << 32)))
         # Lo = Le + light points + BRDF rays (Eq. 5), at the points of every sample.
         yield from run.random_samples(settings.samples, rng, place=tracer.place, batch=tracer.batch)

@@ -32,6 +32,7 @@ from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.sampling.maps import frame_rows
 from ..adjoint_gi.core.scene.arrays import RayKind
 from ..adjoint_gi.core.scene.world import Surface, World
+from ..adjoint_gi.core.walks import unmet_lamps
 from ..adjoint_gi.core.walks.gathering import Run, sliced
 from ..adjoint_gi.core.walks.irradiance_records import RecordIndex, Records, gradients, halves, hemisphere
 from ..adjoint_gi.core.walks.paths import Gathered, Walk
@@ -94,7 +95,7 @@ class IrradianceCache(Solver):
     def solve(self, world: World, receivers: Receivers, settings: CacheSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every round of records, then as the receivers are read."""
         emitters = Emitters(world)
-        run = Run(self.spec, world, receivers, settings, emitters)
+        run = Run(self.spec, world, receivers, settings, emitters, unmet_lamps.notices(emitters))
         walk = Walk(world, emitters, BsdfTable(world.scene), settings.min_length, settings.max_length)
         seed = rng.integers(0, 1 << 63, 4).tolist()
         state = CacheRun(world, settings, walk, seed)

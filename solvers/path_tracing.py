@@ -34,6 +34,7 @@ from ..adjoint_gi.core.method.registry import GATHERING, NONDETERMINISTIC, Metho
 from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import Surface, World
+from ..adjoint_gi.core.walks import unmet_lamps
 from ..adjoint_gi.core.walks.diffuse_paths import DIMENSIONS, PathTracer
 from ..adjoint_gi.core.walks.gathering import SAMPLES_PER_BATCH, Run, batches
 from ..adjoint_gi.core.walks.paths import NEVER, Gathered, Paths, Walk, by_root, by_weight
@@ -99,7 +100,7 @@ class PathTracing(Solver):
         """Yield about ten times a second; the fraction is samples done."""
         emitters = Emitters(world)
         walk = walk_of(world, emitters, settings)
-        run = Run(self.spec, world, receivers, settings, emitters, notices(emitters, settings))
+        run = Run(self.spec, world, receivers, settings, emitters, notices(emitters, settings) + unmet_lamps.notices(emitters))
         if walk.table.only_diffuse and settings.plain:
             tracer = PathTracer(walk, receivers, trace, tuple(int(x) for x in rng.integers(0, 2**32, 4)))
             yield from run.sample_batches(tracer.batch, settings.samples, batches(receivers.count, settings.samples, even=True))

@@ -36,6 +36,7 @@ from ..adjoint_gi.core.sampling.maps import columns
 from ..adjoint_gi.core.scene.arrays import Lobe, RayKind, constant_of
 from ..adjoint_gi.core.scene.faces import Faces
 from ..adjoint_gi.core.scene.world import Surface, World
+from ..adjoint_gi.core.walks import unmet_lamps
 from ..adjoint_gi.core.walks.gathering import Run
 from ..adjoint_gi.core.walks.paths import Gathered
 
@@ -107,7 +108,7 @@ class Whitted(Solver):
         """Yield after every few batches of receivers. Raises SceneError for rough lobes where they are refused."""
         emitters = Emitters(world)
         tracer = MirrorTracer(world, emitters, settings)
-        notices = rough_notices(world, settings.rough)
+        notices = rough_notices(world, settings.rough) + unmet_lamps.notices(emitters, sized=True)
         batch, doubling = guarded(tracer, self.spec.label)
         # Lo = Le + lights + ambient + mirrored and refracted rays (Eq. 9), at every receiver's fixed points.
         yield from Run(self.spec, world, receivers, settings, emitters, notices + doubling).fixed_points(tracer.estimate, batch)
