@@ -12,7 +12,8 @@ from ..sampling.additive import STEPS, additive
 from ..scene.topology import uv_charts, weld
 from ..scene.world import World
 from .base import SurfaceReceivers
-from .rasterize import PLACES_PER_CHUNK, Shapes, claim_places
+from .inside import Interiors
+from .rasterize import PLACES_PER_CHUNK, Claims, Shapes, claim_places
 from .runs import UvTriangles
 
 MAX_RESOLUTION = 16384  # texels a side
@@ -101,7 +102,8 @@ def rasterize(
 
     `uv_layer` is one name for all, or one for each object; "" is the layer used for rendering. `resolution` is (width, height).
     A texel is covered if any of its `subsamples` places lies inside a triangle; a place that two triangles claim goes to the one
-    with the lower index. Raises TargetError for a missing layer or when no texel is covered, MemoryRefused above `memory_limit`.
+    with the lower index. Places inside bodies that stand on the surface are left out, and texels that have no others are not covered.
+    Raises TargetError for a missing layer or when no texel is covered, MemoryRefused above `memory_limit`.
     """
     width, height = _checked(resolution, subsamples, memory_limit)
 
@@ -112,29 +114,30 @@ def rasterize(
     # Step 2: who owns which places of the texels.
     claims = claim_places(Shapes(world.rows[triangle]), layout, width, height, sample_offsets(subsamples))
 
-    # Step 3: texels that have any are receivers.
-    many, item = claims.many, claims.item
-    pixel = np.flatnonzero(many)
+    # Step 3: texels that have any outside of bodies are receivers. What lies inside is black, and would bleed into its neighbours.
+    pixel = np.flatnonzero(claims.many)
     if not len(pixel):
         names = ", ".join(world.scene.objects[i].name for i in objects)
         raise TargetError(names, "no texel of the lightmap lies on the surface", "Unwrap into the unit square, or raise the resolution")
+    first = (np.cumsum(claims.many, dtype=np.int64) - claims.many)[pixel]
+    item, u, v, many = _outside(world, triangle, claims)
+    pixel = np.flatnonzero(many)
     start = np.concatenate([[0], np.cumsum(many[pixel], dtype=np.int64)])
-    clashing, overlapping = claims.clashing, claims.overlapping
     chart_map = np.full(width * height, -1, np.int32)
     chart_map[pixel] = chart[item[start[:-1]]]
-    receivers = SurfaceReceivers("texels", start, triangle[item], claims.u, claims.v)
+    receivers = SurfaceReceivers("texels", start, triangle[item], u, v)
 
     # Step 4: what is wrong with the layout.
-    owned = np.bincount(chart_map[pixel], minlength=charts)
-    problems = {"overlap": clashing} | _unfit(layout, (owned < 2)[chart])
+    owned = np.bincount(chart[claims.item[first]], minlength=charts)
+    problems = {"overlap": claims.clashing} | _unfit(layout, (owned < 2)[chart])
     owner = world.scene.object[triangle] if len(triangle) else triangle
     counts = {name: len(found) for name, found in problems.items()}
-    counts |= {"overlap": overlapping, "tiny": len(np.unique(chart[problems["tiny"]]))}
+    counts |= {"overlap": claims.overlapping, "tiny": len(np.unique(chart[problems["tiny"]]))}
     return Lightmap(
         receivers=receivers,
         pixel=pixel,
         covered=(chart_map >= 0).reshape(height, width),
-        share=(many / np.float32(subsamples)).reshape(height, width),
+        share=np.where(many > 0, claims.many / np.float32(subsamples), np.float32(0)).reshape(height, width),
         chart=chart_map.reshape(height, width),
         charts=charts,
         overlapping=counts["overlap"],
@@ -160,6 +163,19 @@ def _checked(resolution: int | tuple[int, int], subsamples: int, memory_limit: i
         reason = f"{width} x {height} texels with {subsamples} sub-samples need {sizes}"
         raise MemoryRefused("Lightmap", reason, "Lower the resolution or the sub-samples")
     return width, height
+
+
+def _outside(world: World, triangle: np.ndarray, claims: Claims) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """`item`, `u`, `v` and `many` of the claims without points that lie inside bodies; an object that is inside as a whole keeps them."""
+    inside = Interiors(world).hold(triangle[claims.item], claims.u, claims.v)
+    if not inside.any():
+        return claims.item, claims.u, claims.v, claims.many
+    owner = world.scene.object[triangle[claims.item]]
+    has_outside = np.bincount(owner, ~inside, len(world.scene.objects)) > 0
+    keep = ~(inside & has_outside[owner])
+    texel = np.repeat(np.arange(len(claims.many)), claims.many)
+    many = np.bincount(texel[keep], minlength=len(claims.many))
+    return claims.item[keep], claims.u[keep], claims.v[keep], many
 
 
 def _unfit(layout: UvTriangles, tiny: np.ndarray) -> dict[str, np.ndarray]:

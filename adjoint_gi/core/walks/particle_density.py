@@ -17,10 +17,12 @@ from __future__ import annotations
 import numpy as np
 
 from ..receivers.base import SurfaceReceivers
+from ..receivers.inside import Interiors
 from ..sampling.additive import STEPS, additive
-from ..scene.world import World
+from ..scene.world import Surface, World
 
 HITS = 100  # particles wanted within a kernel, if they were spread evenly over the scene
+LOOKS = 1 << 14  # points that show whether any area lies inside bodies
 PAIRS = 1 << 20  # pairs of a particle and a receiver point that are looked at together
 FACING = 0.5  # cosine of the largest angle between the normals
 SMALLEST = 1e-4  # kernel radius over the extent of the world
@@ -55,6 +57,10 @@ class ParticleDensity:
         weight = np.where(self.receives[scene.object], world.area, 0.0)
         self._cumulative = np.cumsum(weight)
         self._total = float(self._cumulative[-1]) if len(weight) else 0.0
+        # Nothing lands where a wall stands on a face, so no area is counted there, where there is any.
+        self._interiors = Interiors(world)
+        self._any_inside = True
+        self._any_inside = self._total > 0 and not self._spread(LOOKS, np.random.default_rng(0))[1].all()
 
     def _find_points(self) -> None:
         """One point for each triangle of each receiver: the mean of the receiver's points there, with their share of the receiver."""
@@ -134,14 +140,20 @@ class ParticleDensity:
         """(count,) float64 area within each kernel, weighted by it, m2: an estimate from `n` points spread over the receiving faces."""
         if n == 0 or self._total <= 0:
             return np.zeros(self.count)
+        surface, outside = self._spread(n, rng)
+        return self.sum(surface.triangle, surface.position, surface.ng, outside[:, None] * (self._total / n))[:, 0]
+
+    def _spread(self, n: int, rng: np.random.Generator) -> tuple[Surface, np.ndarray]:
+        """`n` points spread over the receiving faces, each for the same area, and (n,) float64 1, or 0 for those inside bodies."""
         # Step 1: triangles by area, one jittered point in each n-th; places in them by a low-discrepancy sequence.
         at = (np.arange(n) + rng.random(n)) / n * self._total
         triangle = np.minimum(np.searchsorted(self._cumulative, at, side="right"), len(self._cumulative) - 1)
         s, t = additive(np.arange(1, n + 1), STEPS[4][:2], rng.random((2, 1)))
         root = np.sqrt(s)
-        surface = self.world.surface(triangle, (1 - root).astype(np.float32), (t * root).astype(np.float32))
-        # Step 2: every point stands for the same area.
-        return self.sum(triangle, surface.position, surface.ng, np.full((n, 1), self._total / n))[:, 0]
+        u, v = (1 - root).astype(np.float32), (t * root).astype(np.float32)
+        # Step 2: those that nothing can reach.
+        inside = self._interiors.hold(triangle, u, v) if self._any_inside else np.zeros(n, bool)
+        return self.world.surface(triangle, u, v), np.where(inside, 0.0, 1.0)
 
     def values(self, power: np.ndarray, area: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Irradiance (receivers, 3) float64 from kernel sums of power (count, 3) in W and area (count,) in m2, and the share (receivers,)

@@ -1,0 +1,175 @@
+"""Points inside bodies: what stands on a floor, and what only looks so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.receivers.inside import Interiors
+from adjgi.adjoint_gi.core.receivers.texels import rasterize
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
+from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.adjoint_gi.core.walks.particle_density import ParticleDensity
+from adjgi.tests.scenes import icosphere
+from adjgi.tests.solving import solve
+
+WHITE = diffuse("White", 0.5)
+GLASS = Material("Glass", (Lobe("glass", Color.of(1.0), 0.0),))
+QUADS = {"bottom": (0, 2, 3, 1), "top": (4, 5, 7, 6), "-y": (0, 1, 5, 4), "+y": (2, 6, 7, 3), "-x": (0, 4, 6, 2), "+x": (1, 3, 7, 5)}
+
+
+def block(b, name, low, high, material=WHITE, without=(), flip=False):
+    """A box of one mesh, turned outward."""
+    corner = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], float) * (np.array(high) - low) + low
+    faces = [[(p, q, r), (p, r, s)] for key, (p, q, r, s) in QUADS.items() if key not in without]
+    triangles = np.array(faces).reshape(-1, 3)
+    b.mesh(name, corner, triangles[:, ::-1] if flip else triangles, material)
+
+
+def floor():
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (10, 0, 0), (0, 10, 0), WHITE)
+    return b
+
+
+def found(b):
+    """Points of the floor (n, 2) and which of them lie inside a body."""
+    world = World(b.build())
+    x, y = (a.ravel() for a in np.meshgrid((np.arange(50) + 0.5) / 50, (np.arange(50) + 0.5) / 50))
+    upper = y > x
+    # Triangle 0 is (0, 0), (1, 0), (1, 1), triangle 1 is (0, 0), (1, 1), (0, 1).
+    u, v = np.where(upper, x, x - y).astype(np.float32), np.where(upper, y - x, y).astype(np.float32)
+    return 10 * np.stack([x, y], axis=1), Interiors(world).hold(upper.astype(np.int32), u, v)
+
+
+def within(point, low, high):
+    return ((point > low[:2]) & (point < high[:2])).all(axis=1)
+
+
+WALL = ((4.8, 1.0, 0.0), (5.6, 9.0, 2.5))
+
+
+@pytest.mark.parametrize("sunk", [0.0, 0.05])
+@pytest.mark.parametrize("without", [(), ("bottom",)])
+def test_points_below_a_wall_that_stands_on_the_floor(sunk, without):
+    if sunk and without:
+        pytest.skip("open below the floor: its rim lies in another plane")
+    b = floor()
+    block(b, "Wall", np.array(WALL[0]) - (0, 0, sunk), WALL[1], without=without)
+    point, inside = found(b)
+    assert np.array_equal(inside, within(point, *WALL)) and inside.sum() == 160
+
+
+def test_several_bodies_and_round_ones():
+    b = floor()
+    block(b, "Wall", *WALL)
+    block(b, "Board", (5.0, 0.4, 0.0), (6.6, 9.6, 0.1))  # runs through the wall
+    vertices, triangles = icosphere(3)
+    b.mesh("Stone", vertices + (2, 2, 0.3), triangles, WHITE)
+    point, inside = found(b)
+    round_ = np.linalg.norm(point - 2, axis=1)
+    sure = within(point, *WALL) | within(point, np.array([5.0, 0.4]), np.array([6.6, 9.6])) | (round_ < 0.93)
+    assert inside[sure].all() and not inside[~sure & (round_ > 0.97)].any()
+
+
+def lamp(b):
+    b.light(Light("Lamp", "point", (1, 1, 1), position=(5.3, 5, 1)))
+
+
+def panel(b):
+    b.quad("Panel", (5.2, 5, 2), (0, 0.2, 0), (0.2, 0, 0), diffuse("Panel", 0.0, 1.0))
+
+
+def camera(b):
+    b.camera = Camera("perspective", (5.3, 5, 1), (1, 0, 0), (0, 0, 1), (0, 1, 0), (-1, 1, -1, 1), 8, 8)
+
+
+@pytest.mark.parametrize("put", [lamp, panel, camera])
+def test_a_room_turned_inside_out_is_no_body(put):
+    """One box around a floor, its faces turned outward, with light or a view in it."""
+    b = floor()
+    block(b, "Room", (-0.1, -0.1, 0.0), (10.1, 10.1, 3.0))
+    put(b)
+    assert not found(b)[1].any()
+
+
+LOOKALIKES = {
+    "a sheet of a decal": lambda b: b.quad("Decal", (2, 2, 1e-3), (3, 0, 0), (0, 3, 0), WHITE),
+    "a sheet turned down": lambda b: b.quad("Decal", (2, 2, 1e-3), (0, 3, 0), (3, 0, 0), WHITE),
+    "a pane": lambda b: block(b, "Vitrine", *WALL, material=GLASS),
+    "a block turned inward": lambda b: block(b, "Room", *WALL, flip=True),
+    "a shed that is open": lambda b: block(b, "Shed", *WALL, without=("-x",)),
+    "a table top": lambda b: block(b, "Top", (2, 2, 0.7), (6, 6, 0.75)),
+    "a cover that hangs": lambda b: block(b, "Cover", (2, 2, 0.3), (6, 6, 0.75), without=("bottom",)),
+}
+
+
+@pytest.mark.parametrize("name", LOOKALIKES)
+def test_what_is_no_body(name):
+    b = floor()
+    LOOKALIKES[name](b)
+    assert not found(b)[1].any()
+
+
+def test_texels_lose_the_points_inside_and_those_wholly_inside_are_not_covered():
+    b = floor()
+    block(b, "Wall", *WALL)
+    plain, lm = (rasterize(World(x.build()), [0], resolution=16, subsamples=16) for x in (floor(), b))
+    x = (np.arange(16) + 0.5) * 10 / 16
+    low, high = x - 5 / 16, x + 5 / 16
+    whole = ((low > 4.8) & (high < 5.6))[None] & ((low > 1) & (high < 9))[:, None]
+    none = ((high < 4.8) | (low > 5.6))[None] | ((high < 1) | (low > 9))[:, None]
+    assert not lm.covered[whole].any() and lm.covered[none].all()
+    many = np.zeros(256)
+    many[lm.pixel] = np.diff(lm.receivers.start)
+    assert np.all(many.reshape(16, 16)[none] == 16) and many.sum() / 16 == pytest.approx(256 - 0.8 * 8 * 2.56, rel=0.03)
+    # How much of a texel lies on the surface is not asked of what stands on it.
+    assert np.all(plain.share == 1) and np.all(lm.share[lm.covered] == 1)
+
+
+def test_what_lies_inside_as_a_whole_keeps_its_texels():
+    b = SceneBuilder()
+    b.quad("Board", (5.0, 2, 1), (0.3, 0, 0), (0, 4, 0), WHITE)
+    block(b, "Wall", *WALL)
+    assert rasterize(World(b.build()), [0], resolution=8).covered.all()
+
+
+def test_a_floor_is_as_bright_beside_a_wall_as_the_closed_form_says():
+    """64 texels over 10 m, a black wall of 0.4 m, height h, below a white sky: at distance d the floor gets pi (1 + d / sqrt(d2 + h2)) / 2.
+
+    Texels that the wall stands on were up to 65 % too dark. Their mean is over the part that lies beside the wall.
+    """
+    b, h, low, high = floor(), 2.5, 4.85, 5.25
+    block(b, "Wall", (low, -10.0, 0.0), (high, 20.0, h), material=diffuse("Black", 0.0))
+    b.background = (1.0, 1.0, 1.0)
+    world = World(b.build())
+    lm = rasterize(world, [0], resolution=64, subsamples=16)
+    value = solve("path_tracing", world, lm.receivers, max_length=1, samples=128).quantity("irradiance")
+    got = lm.image(value)[8:-8, :, 0].mean(axis=0)
+    want = []
+    for k in range(64):
+        x = (k + (np.arange(400) + 0.5) / 400) * 10 / 64
+        d = np.maximum(low - x, x - high)
+        want.append((0.5 * np.pi * (1 + d / np.hypot(d, h)))[d > 0].mean() if (d > 0).any() else 0.0)
+    beside = np.array(want) > 0
+    assert np.array_equal(lm.covered[10], beside)
+    near = beside & (np.abs(np.arange(64) + 0.5 - 5.05 * 6.4) < 6)
+    assert np.allclose(got[near], np.array(want)[near], rtol=0.04)
+
+
+def test_particles_are_counted_over_the_same_area():
+    """What lands around a texel beside the wall is divided by the kernel's integral over what it can land on."""
+    b, low, high, h = floor(), 4.85, 5.25, 0.6
+    block(b, "Wall", (low, -1.0, 0.0), (high, 11.0, 2.5))
+    world = World(b.build())
+    density = ParticleDensity(world, rasterize(world, [0], resolution=16, subsamples=4).receivers, 1000, radius=h)
+    area = density.area(40_000, np.random.default_rng(1))
+    at = density.position + world.center
+    middle = (np.abs(at[:, :2] - 5) < 4).all(axis=1)
+    # The Epanechnikov kernel over a strip at distance s: 4/3 (h2 - s2)^1.5 / h2.
+    s = at[middle, 0, None] - (low + (high - low) * (np.arange(50) + 0.5) / 50)
+    below = (4 / 3 * np.maximum(h * h - s * s, 0) ** 1.5 / h**2).mean(axis=1) * (high - low)
+    beside = below > 0.05
+    whole = 0.5 * np.pi * h * h
+    assert area[middle][below == 0].mean() == pytest.approx(whole, rel=0.01)
+    assert beside.sum() > 8 and area[middle][beside].mean() == pytest.approx(whole - below[beside].mean(), rel=0.02)
