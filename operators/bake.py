@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..adjoint_gi.bridge.baking import check, jobs
+from ..adjoint_gi.bridge.baking import check, jobs, textures
+from ..adjoint_gi.bridge.host import background
 from ..adjoint_gi.bridge.props.properties import request_of
 from ..adjoint_gi.bridge.props.records import AdjointError
 from ..adjoint_gi.bridge.props.request import BakeRequest
@@ -83,6 +84,35 @@ class ADJOINTGI_OT_write(Guarded, bpy.types.Operator):
         return {"CANCELLED"} if job.notices else {"FINISHED"}
 
 
+class ADJOINTGI_OT_renew_uvs(Guarded, bpy.types.Operator):
+    """Make the lightmap UVs of what is to be baked anew, also where they fit; images of earlier bakes do not fit them"""
+
+    bl_idname = "adjoint_gi.renew_uvs"
+    bl_label = "Renew Lightmap UVs"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def refusal(cls, context: bpy.types.Context) -> str:
+        """A job that runs, or a target without UVs of ours."""
+        state = context.scene.adjoint_gi
+        own = (
+            "" if state.target == "texture" and not state.uv_layer else "Lightmap UVs are made for image textures without a named UV layer"
+        )
+        return background.busy() or own
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Put the user's materials back, which show the old ones, and unwrap."""
+        try:
+            objects, notices = textures.renew(context, request_of(context.scene, context.view_layer))
+        except AdjointError as error:
+            report(self, error.notice)
+            return {"CANCELLED"}
+        for notice in notices:
+            report(self, notice)
+        self.report({"INFO"}, f"Made the lightmap UVs of {objects} object{'s' if objects != 1 else ''}; bake again")
+        return {"FINISHED"}
+
+
 class ADJOINTGI_OT_check(bpy.types.Operator):
     """Look for what would prevent the bake"""
 
@@ -101,4 +131,4 @@ class ADJOINTGI_OT_check(bpy.types.Operator):
         return {"FINISHED"}
 
 
-classes = (ADJOINTGI_OT_bake, ADJOINTGI_OT_stop, ADJOINTGI_OT_resume, ADJOINTGI_OT_write, ADJOINTGI_OT_check)
+classes = (ADJOINTGI_OT_bake, ADJOINTGI_OT_stop, ADJOINTGI_OT_resume, ADJOINTGI_OT_write, ADJOINTGI_OT_renew_uvs, ADJOINTGI_OT_check)

@@ -149,8 +149,11 @@ def texels(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What is seldom changed about a texture."""
     _form(layout)
     column = layout.column()
-    for name in ("margin", "subsamples"):
+    for name in ("texels_per_metre", "margin", "subsamples"):
         _entry(column, context, context.scene.adjoint_gi, name)
+    if context.object is not None and context.object.type == "MESH":
+        _entry(column, context, context.object, "adjoint_gi_density")
+    column.operator("adjoint_gi.renew_uvs", icon="UV_DATA")
 
 
 def film(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -257,3 +257,51 @@ def test_a_deleted_object_leaves_its_layer_to_clear_results():
     remove_results(bpy.context.scene)
     assert counts() == (1, 2, 0, 0, 0), "the mesh of the deleted object is the user's"
     assert not any(links.is_result(o) for o in bpy.data.objects)
+
+
+def side(obj):
+    return links.link(obj, "irradiance")["image"].size[0]
+
+
+def per_metre(made, name):
+    """Texels a metre of an object: the root of its covered texels over its area."""
+    sheet = next(s for s in made.writer.sheets if s.name == name or len(made.writer.sheets) == 1)
+    world = made.driver.world
+    k = [o.source for o in world.scene.objects].index(name)
+    r = sheet.lightmap.receivers
+    points = np.repeat(1 / np.diff(r.start), np.diff(r.start))[world.scene.object[r.triangle] == k].sum()
+    return np.sqrt(points / world.area[world.scene.object == k].sum())
+
+
+def test_texels_a_metre_are_what_is_asked_for_and_images_as_large_as_that_needs(registered):
+    small, large = box("Small", "ARRAY"), box("Large")
+    large.scale, large.location = (3, 3, 3), (5, 0, 0)
+    bpy.context.view_layer.update()
+    ask = {"values": {"samples": 1}, "resolution": 512, "texels_per_metre": 20.0}
+    made = bake(request(**ask))
+    assert side(small) < side(large) < 512
+    for name in ("Small", "Large"):
+        assert per_metre(made, name) == pytest.approx(20, rel=0.08)
+    large.adjoint_gi_density = 2.0
+    assert "another density" in [n for n in Bake(bpy.context, request(**ask)).notices if "made anew" in n.reason][0].reason
+    made = bake(request(**ask))
+    assert per_metre(made, "Large") == pytest.approx(40, rel=0.08) and per_metre(made, "Small") == pytest.approx(20, rel=0.08)
+    made = bake(request(**ask, atlas=True))
+    assert per_metre(made, "Large") == pytest.approx(40, rel=0.1) and per_metre(made, "Small") == pytest.approx(20, rel=0.1)
+    made = bake(request(**(ask | {"texels_per_metre": 1000.0, "resolution": 64})))
+    assert any("only" in n.reason and "64 x 64, not 1e+03" in n.reason for n in made.notices) and side(small) == 64
+
+
+def test_uvs_are_renewed_on_request_and_by_the_button(registered):
+    obj = box("Box", "ARRAY")
+    bake(request(**BUILT))
+    carried.holder(obj).data.vertices[0].co.x = 0.123
+    bake(request(**BUILT))
+    assert carried.carried(obj)[0][0, 0] == np.float32(0.123), "what fits stays"
+    bake(request(**BUILT, renew_uvs=True))
+    assert carried.carried(obj)[0][0, 0] != np.float32(0.123)
+    carried.holder(obj).data.vertices[0].co.x = 0.123
+    bpy.context.scene.adjoint_gi.selection_only = False
+    assert bpy.ops.adjoint_gi.renew_uvs() == {"FINISHED"} and carried.carried(obj)[0][0, 0] != np.float32(0.123)
+    bpy.context.scene.adjoint_gi.uv_layer = "Mine"
+    assert not bpy.ops.adjoint_gi.renew_uvs.poll()

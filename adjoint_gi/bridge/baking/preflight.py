@@ -29,9 +29,10 @@ from ..props.request import RECEIVERS, BakeRequest
 from ..results import links as targets
 from ..results import stored
 from ..results.attribute import check_attribute_target
-from ..results.lightmap_uv import NAME, check_target, outdated, own_layer
+from ..results.lightmap_uv import NAME, check_target, own_layer
 from ..results.show import unhidden
 from . import outputs
+from .sides import planned, unfit
 
 QUICK = 300_000  # triangles above which the panel's check does not extract the scene
 LEFT_OUT = ("and is left out", "so it is left out")  # words of the extraction for a whole object that is not there
@@ -221,6 +222,8 @@ def estimates(world: World, request: BakeRequest) -> list[Notice]:
 
 def resolutions(world: World, objects: list[int], request: BakeRequest) -> np.ndarray:
     """(n,) int64 texels a side of every image of `objects` (indices), which is one for all of them in an atlas."""
+    if request.texels_per_metre and not request.uv_layer:
+        return planned(world, objects, request)
     if request.atlas:
         return np.full(min(1, len(objects)), request.resolution)
     return own_resolutions(np.array([world.area[world.scene.objects[i].triangles].sum() for i in objects]), request.resolution)
@@ -298,7 +301,7 @@ def _texture_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]
             return [Notice(obj.name, reason, "Choose one of its layers, or leave it empty to have one made", "error")]
         return []
     if own_layer(obj):
-        why = outdated(obj, bpy.context.evaluated_depsgraph_get())
+        why = unfit(obj, request, bpy.context.evaluated_depsgraph_get())
         if not why:
             return []
     try:

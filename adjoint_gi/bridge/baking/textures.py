@@ -19,29 +19,27 @@ from ...core.method.solution import Solution
 from ...core.receivers.base import Receivers
 from ...core.receivers.margin import fill_margin
 from ...core.receivers.texels import Lightmap, join, rasterize
-from ...core.receivers.unwrap import unwrap
 from ...core.scene.world import World
 from ..engine.pictures import exposure
+from ..extract.depsgraph import extract
 from ..host import files
-from ..props.request import BakeRequest
+from ..props.request import BakeRequest, raise_first
 from ..results import links, preview
 from ..results.image import linked_image, write_image
 from ..results.lightmap_uv import (
     check_uv_layer,
     find_uv_layer,
     in_one_square,
-    listed_errors,
     notices,
-    outdated,
     own_layer,
-    paddings,
     read_plan,
     shares_square,
     write_plan,
 )
 from ..results.show import unhidden
 from . import outputs
-from .preflight import receiving, resolutions
+from .preflight import look, receiving, resolutions
+from .sides import multiplier, note, side_of, unfit, unwrap_to_density
 from .writer import Prepared, Writer, find_objects
 
 COMPONENTS = ("emitted", "direct", "indirect", "albedo")  # layers of the file with all parts
@@ -84,24 +82,15 @@ class TextureWriter(Writer):
         if request.uv_layer:
             return None
         indices = receiving(world.scene, request)
-        objects = [find_objects((world.scene.objects[i].uid,), world.scene.objects[i].source)[0] for i in indices]
-        with unhidden(context.view_layer):
-            groups, why = _to_unwrap(objects, request, context.evaluated_depsgraph_get())
-            made = None
-            if groups:
-                sides = np.broadcast_to(resolutions(world, indices, request), len(objects))
-                density = _densities(world, indices, objects) if request.atlas and len(objects) > 1 else np.ones(len(objects))
-                made = _make_layers(groups, dict(zip(objects, sides, strict=True)), dict(zip(objects, density, strict=True)))
-        if made is not None:
-            made.notices[:0] = why
-            context.view_layer.update()
-        return made
+        return _prepare(context, request, world, indices)
 
     def place(self, context: bpy.types.Context) -> Receivers:
         """The texels of all sheets, one sheet after the other."""
         indices = receiving(self.world.scene, self.request)
         groups = [indices] if self.request.atlas else [[i] for i in indices]
+        owners = find_objects(tuple(self.world.scene.objects[g[0]].uid for g in groups), self.scene_name) if indices else []
         sides = resolutions(self.world, indices, self.request)
+        sides = np.array([side_of(obj, self.request, int(side)) for obj, side in zip(owners, sides, strict=True)])
         self.notices += _told(self.request, sides)
         sheets = [self._sheet(context, group, int(side)) for group, side in zip(groups, sides, strict=True)]
         self.given = [part for group, sheet in zip(groups, sheets, strict=True) for part in sheet.given(self.world, group)]
@@ -178,46 +167,88 @@ class TextureWriter(Writer):
         return [parts, picture]
 
 
+def renew(context: bpy.types.Context, request: BakeRequest) -> tuple[int, list[Notice]]:
+    """Make our UV layers of what `request` means anew, without a bake; returns the number of objects and what there is to say.
+
+    Objects that show a result get their materials back, because it does not fit the new layers. Raises `AdjointError`.
+    """
+    raise_first(look(context, request))
+    world = World(extract(context.evaluated_depsgraph_get(), context.scene))
+    indices = receiving(world.scene, request)
+    made = _prepare(context, replace(request, renew_uvs=True), world, indices)
+    preview.restore([_object(world, i) for i in indices])
+    return len(indices), made.notices if made is not None else []
+
+
+def _prepare(context: bpy.types.Context, request: BakeRequest, world: World, indices: list[int]) -> Prepared | None:
+    """New layers for those of the objects `indices` that need them; None where none does."""
+    objects = [_object(world, i) for i in indices]
+    with unhidden(context.view_layer):
+        groups, why = _to_unwrap(objects, request, context.evaluated_depsgraph_get())
+        if not groups:
+            return None
+        sides = np.broadcast_to(resolutions(world, indices, request), len(objects))
+        density = _densities(world, indices, objects, request)
+        made = _make_layers(groups, request, dict(zip(objects, sides, strict=True)), dict(zip(objects, density, strict=True)))
+    made.notices[:0] = why
+    context.view_layer.update()
+    return made
+
+
+def _object(world: World, index: int) -> bpy.types.Object:
+    """The object of Blender behind that of the scene; raises `TargetError` when it is gone."""
+    return find_objects((world.scene.objects[index].uid,), world.scene.objects[index].source)[0]
+
+
 def _to_unwrap(
     objects: list[bpy.types.Object], request: BakeRequest, depsgraph: bpy.types.Depsgraph
 ) -> tuple[list[list[bpy.types.Object]], list[Notice]]:
     """Objects that need new layers, in groups that share a square, and notices on those whose present layers do not fit any more."""
-    why = [(obj, outdated(obj, depsgraph)) for obj in objects]
+    why = [(obj, unfit(obj, request, depsgraph)) for obj in objects]
     told = [Notice(obj.name, f"{reason}; they are made anew", "", "info") for obj, reason in why if reason]
-    lacking = [obj for obj, reason in why if reason or not own_layer(obj)]
+    lacking = [obj for obj, reason in why if reason or request.renew_uvs or not own_layer(obj)]
     if not request.atlas:
         return [[obj] for obj in lacking], told
+    if not objects:
+        return [], told
     together = not lacking and (len(objects) == 1 or in_one_square(objects))
     return [] if together else [objects], told
 
 
 def _make_layers(
-    groups: list[list[bpy.types.Object]], sides: Mapping[bpy.types.Object, int], density: Mapping[bpy.types.Object, float]
+    groups: list[list[bpy.types.Object]],
+    request: BakeRequest,
+    sides: Mapping[bpy.types.Object, int],
+    density: Mapping[bpy.types.Object, float],
 ) -> Prepared:
-    """Unwrap each group into one image of as many texels a side as `sides` says; all get their layers, or none. `density`: of `unwrap`."""
+    """Unwrap each group into one image; all get their layers, or none.
+
+    An image has as many texels a side as `sides` says, or as the texels a metre need that are asked for; `density` is that of `unwrap`.
+    """
     made = Prepared([])
     try:
         for objects in groups:
-            plan, side = read_plan(objects), int(sides[objects[0]])
-            with listed_errors(objects):
-                scale = np.array([density[obj] for obj in plan.objects])
-                unwrapped = unwrap([face.mesh for face in plan.faces], side, paddings(side), scale)
+            plan, scale = read_plan(objects), np.array([density[obj] for obj in objects])
+            unwrapped, side, told = unwrap_to_density(objects, plan.faces, request, int(sides[objects[0]]), scale)
             made.undo.callback(write_plan(plan, unwrapped))
-            made.notices += notices(objects, unwrapped)
+            note(objects, request, side)
+            made.notices += [*notices(objects, unwrapped), *told]
     except AdjointError:
         made.undo.close()
         raise
     return made
 
 
-def _densities(world: World, indices: list[int], objects: list[bpy.types.Object]) -> np.ndarray:
-    """(n,) float64 how densely `objects`, `indices` in the world, lie in an atlas: by what is seen of them, times the user's factor."""
-    return seen(world).weight[indices] * [getattr(obj, "adjoint_gi_density", 1.0) for obj in objects]  # absent where nothing is registered
+def _densities(world: World, indices: list[int], objects: list[bpy.types.Object], request: BakeRequest) -> np.ndarray:
+    """(n,) float64 how densely `objects`, `indices` in the world, lie beside one another: in an atlas by what is seen of them, if no
+    texels a metre are asked for, times the user's factor."""
+    by_view = request.atlas and len(objects) > 1 and not request.texels_per_metre
+    return np.array([multiplier(obj) for obj in objects]) * (seen(world).weight[indices] if by_view else 1.0)
 
 
 def _told(request: BakeRequest, sides: np.ndarray) -> list[Notice]:
     """A notice where images follow the size of their objects."""
-    if (sides == request.resolution).all():
+    if (sides == request.resolution).all() or request.texels_per_metre:
         return []
     texels = ", ".join(f"{count} of {side}" for side, count in zip(*np.unique(sides, return_counts=True), strict=True))
     return [

@@ -19,7 +19,7 @@ from ..host.versions import FOLDER
 from ..results import show as results
 from . import fields
 from .records import ADJOINTGI_PG_notice, ADJOINTGI_PG_result
-from .request import BakeRequest, fitting_quantity
+from .request import MAX_DENSITY, BakeRequest, fitting_quantity
 
 __all__ = ["MethodSpec", "chosen", "folder_of", "group_name", "method_label", "own_and_common", "quadrant", "request_of", "settings_of"]
 
@@ -87,6 +87,14 @@ class Root:
     )
     uv_layer: bpy.props.StringProperty(
         name="UV Layer", description="UV layer to bake into; it must not overlap itself. Empty: one is made for the lightmap", default=""
+    )
+    texels_per_metre: bpy.props.FloatProperty(
+        name="Texels per Metre",
+        description="Density of lightmaps, as far as the resolution has room; images are only as large as that needs. 0: fill the image",
+        default=DEFAULT["texels_per_metre"],
+        min=0.0,
+        max=MAX_DENSITY,
+        soft_max=1000.0,
     )
     margin: bpy.props.IntProperty(
         name="Margin",
@@ -174,6 +182,7 @@ def request_of(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer | None = 
         resolution=state.resolution,
         atlas=state.atlas,
         uv_layer=state.uv_layer,
+        texels_per_metre=state.texels_per_metre,
         margin=state.margin,
         subsamples=state.subsamples,
         attribute=state.attribute,

@@ -18,6 +18,7 @@ LIGHT = ("irradiance", "radiosity")  # quantities that only methods have which a
 # What a target needs a method to answer.
 RECEIVERS = {"texture": "texels", "attribute": "vertices", "render": "camera"}
 DOMAINS = ("POINT", "CORNER")
+MAX_DENSITY = 1e6  # texels a metre
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,8 @@ class BakeRequest:
     resolution   texels a side of each lightmap
     atlas        one lightmap for all objects instead of one each
     uv_layer     UV layer to bake into; empty means ours, made where it is missing
+    texels_per_metre   density of lightmaps, up to what `resolution` has room for; 0 fills the image
+    renew_uvs    make our UV layers anew even where they fit
     margin       texels by which charts are extended
     subsamples   points in each texel
     attribute    name of the colour attribute
@@ -45,6 +48,8 @@ class BakeRequest:
     resolution: int = 512
     atlas: bool = False
     uv_layer: str = ""
+    texels_per_metre: float = 0.0
+    renew_uvs: bool = False
     margin: int = 8
     subsamples: int = 4
     attribute: str = "AdjointGI"
@@ -85,6 +90,8 @@ class BakeRequest:
                 out.append(_error(name, f"{getattr(self, name)!r} is not possible", "Choose one of: " + ", ".join(known)))
         if self.target == "texture":
             out += _bounds("resolution", self.resolution, 1, MAX_RESOLUTION)
+            if not 0.0 <= self.texels_per_metre <= MAX_DENSITY:
+                out.append(_error("texels_per_metre", f"{self.texels_per_metre:g} is not possible", f"Choose 0 to {MAX_DENSITY:g}"))
             out += _bounds("margin", self.margin, 0, MAX_RESOLUTION)
             out += _bounds("subsamples", self.subsamples, 1, 256)
         if self.target == "render":

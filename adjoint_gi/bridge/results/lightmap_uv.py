@@ -23,7 +23,7 @@ from ...core.receivers.unwrap import Unwrapped, unwrap
 from . import carried, stored
 from . import links as targets
 from .faces import MeshFaces, read_faces
-from .stored import FACES, SHARED
+from .stored import ASKED, FACES, SHARED
 
 STORED = stored.UV  # custom property of the mesh: name of the layer made by us
 NAME = "Lightmap"  # what such a layer is called where nothing else is
@@ -174,7 +174,7 @@ def paddings(resolution: int) -> tuple[int, ...]:
 
 def in_one_square(objects: Sequence[bpy.types.Object]) -> bool:
     """Whether the layers made by us on `objects` were packed together, so that no two of them lie on one another."""
-    places = [(stored.read(_marked(obj), SHARED) or "").split("/") for obj in objects]
+    places = [(stored.read(marked(obj), SHARED) or "").split("/") for obj in objects]
     return (
         all(len(place) == 2 for place in places)
         and len({square for square, _ in places}) == 1
@@ -184,7 +184,7 @@ def in_one_square(objects: Sequence[bpy.types.Object]) -> bool:
 
 def shares_square(obj: bpy.types.Object) -> bool:
     """Whether the layer made by us on `obj` was packed with those of other objects, so that it fills only a part of the image."""
-    return stored.read(_marked(obj), SHARED) is not None
+    return stored.read(marked(obj), SHARED) is not None
 
 
 def remove_lightmap_uv(obj: bpy.types.Object, going: Set[bpy.types.Object] = frozenset()) -> bool:
@@ -271,7 +271,7 @@ def _remove_from_mesh(obj: bpy.types.Object, going: Set[bpy.types.Object] = froz
             mesh.uv_layers.active = mesh.uv_layers[active]
         if render in mesh.uv_layers:
             mesh.uv_layers[render].active_render = True
-    for key in (STORED, SHARED, FACES):
+    for key in (STORED, SHARED, FACES, ASKED):
         if key in mesh:
             del mesh[key]
     return True
@@ -293,8 +293,8 @@ def _corner_vertices(mesh: bpy.types.Mesh) -> np.ndarray:
 # ---- layers of both kinds
 
 
-def _marked(obj: bpy.types.Object) -> bpy.types.ID:
-    """Where it is noted what our layer of `obj` shares its square with."""
+def marked(obj: bpy.types.Object) -> bpy.types.ID:
+    """Where things are noted of our layer of `obj`: the hidden object that holds it, or the mesh that has it."""
     return carried.holder(obj) or obj.data
 
 
@@ -320,7 +320,7 @@ def _snapshot(obj: bpy.types.Object) -> Callable[[], None]:
     name, before = carried.layer_name(obj), carried.carried(obj)
     layer = _on_mesh(obj.data)
     uv = layer_values(obj, layer) if layer else None
-    marks = {key: _marked(obj)[key] for key in (SHARED, FACES) if key in _marked(obj)}
+    marks = {key: marked(obj)[key] for key in (SHARED, FACES, ASKED) if key in marked(obj)}
 
     def restore() -> None:
         remove_lightmap_uv(obj)
@@ -329,7 +329,7 @@ def _snapshot(obj: bpy.types.Object) -> Callable[[], None]:
         elif uv is not None:
             _write_layer(obj, layer, uv)
         for key, value in marks.items():
-            _marked(obj)[key] = value
+            marked(obj)[key] = value
 
     return restore
 
@@ -338,11 +338,11 @@ def _mark_shared(objects: Sequence[bpy.types.Object], unwrapped: Unwrapped) -> N
     """Note beside the layers that they lie in one square; a single object has its own."""
     square = zlib.crc32(b"".join(uv.tobytes() for uv in unwrapped.uvs))
     for number, obj in enumerate(objects):
-        marked = _marked(obj)
+        beside = marked(obj)
         if len(objects) > 1:
-            marked[SHARED] = f"{square:08x}/{number}"
-        elif SHARED in marked:
-            del marked[SHARED]
+            beside[SHARED] = f"{square:08x}/{number}"
+        elif SHARED in beside:
+            del beside[SHARED]
 
 
 def _listed(objects: Sequence[bpy.types.Object]) -> str:

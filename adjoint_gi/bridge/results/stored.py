@@ -22,6 +22,7 @@ ATTRIBUTES = "adjoint_gi_attributes"  # of meshes: key -> JSON list of our attri
 UV = "adjoint_gi_uv"  # of meshes: name of the layer made by us
 SHARED = "adjoint_gi_uv_atlas"  # of meshes and HOLDERs: which square that layer shares with others, and its number there
 FACES = "adjoint_gi_uv_faces"  # of meshes: checksum of the faces that the layer was made for
+ASKED = "adjoint_gi_uv_density"  # of meshes and HOLDERs: which density that layer was asked to have, and the texels a side of its image
 HOLDER = "adjoint_gi_uv_holder"  # of hidden objects whose vertices are UVs, see `carried`
 ADDED = "adjoint_gi_slot"  # of meshes without slots, which got one for the preview
 ABOUT = "adjoint_gi_about"  # of images and meshes: JSON that describes the result
@@ -168,6 +169,7 @@ PROPERTIES: dict[str, Callable[[Any], bool]] = {
     UV: _is_text,
     SHARED: _is_text,
     FACES: _is_text,
+    ASKED: lambda value: isinstance(value, str) and value.count("/") == 1 and value.split("/")[1].isdecimal(),
     HOLDER: _is_on,
     ADDED: _is_on,
     ABOUT: _is_text,

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How many texels a lightmap has: the resolution that is asked for, or as many as give each object its texels a metre."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+
+from ...core.base.errors import Notice
+from ...core.receivers.unwrap import Unwrapped, unwrap
+from ...core.scene.world import World
+from ..props.request import BakeRequest
+from ..results import stored
+from ..results.faces import MeshFaces
+from ..results.lightmap_uv import listed_errors, marked, outdated, own_layer, paddings
+
+DENSITY = "adjoint_gi_density"  # property of objects: multiplies their texels a metre
+FULL = 0.6  # share of the image that charts are first thought to fill
+SMALLEST = 16  # texels a side
+CLOSE = 1.03  # how near the texels a metre that are asked for must be met
+
+
+def multiplier(obj: bpy.types.Object) -> float:
+    """How many times more texels a metre than others `obj` is to have."""
+    return float(getattr(obj, DENSITY, 1.0))
+
+
+def asked(obj: bpy.types.Object, request: BakeRequest) -> str:
+    """What is noted beside a layer of the density that was asked for; where it differs, the layer is made anew. Empty for the default."""
+    if request.texels_per_metre:
+        return f"{request.texels_per_metre:g} {multiplier(obj):g} {request.resolution}"
+    return f"0 {multiplier(obj):g}" if request.atlas and multiplier(obj) != 1.0 else ""
+
+
+def planned(world: World, indices: Sequence[int], request: BakeRequest) -> np.ndarray:
+    """(n,) int64 about how many texels a side the images of the objects `indices` have for the texels a metre that are asked for."""
+    present = {o.session_uid: o for o in bpy.data.objects}
+    factor = np.array([multiplier(present[world.scene.objects[i].uid]) for i in indices])
+    area = np.array([world.area[world.scene.objects[i].triangles].sum() for i in indices]) * factor**2
+    parts = [area.sum()] if request.atlas and len(area) else area
+    return np.array([_side(part, request) for part in parts], np.int64)
+
+
+def unwrap_to_density(
+    objects: Sequence[bpy.types.Object], faces: Sequence[MeshFaces], request: BakeRequest, side: int, density: np.ndarray
+) -> tuple[Unwrapped, int, list[Notice]]:
+    """The layers of `objects`, which share an image, its texels a side, and what there is to say of its density.
+
+    Where no texels a metre are asked for, the image has `side`. `density` (n,) is that of `unwrap`.
+    """
+    density = density if len(objects) > 1 else np.ones(1)
+    wanted = request.texels_per_metre * (multiplier(objects[0]) if len(objects) == 1 else 1.0)
+    if not wanted:
+        return _unwrap(objects, faces, side, density), side, []
+    area = np.array([0.5 * face.area[face.good].sum() for face in faces])
+    side = _side(float((area * [multiplier(obj) ** 2 for obj in objects]).sum()), request)
+    found = _unwrap(objects, faces, side, density)
+    if not 1 / CLOSE < found.texels_per_metre / wanted < CLOSE:
+        better = _bounded(side * wanted / found.texels_per_metre, request.resolution)
+        if better != side:
+            side, found = better, _unwrap(objects, faces, better, density)
+    notices = []
+    if found.texels_per_metre * CLOSE < wanted:
+        reason = f"only {found.texels_per_metre:.3g} texels a metre fit into {side} x {side}, not {wanted:.3g}"
+        notices.append(Notice(", ".join(o.name for o in objects[:8]), reason, "Raise the resolution, or ask for fewer"))
+    return found, side, notices
+
+
+def note(objects: Sequence[bpy.types.Object], request: BakeRequest, side: int) -> None:
+    """Note beside the new layers of `objects` what was asked for, and the `side` of their image."""
+    for obj in objects:
+        text, beside = asked(obj, request), marked(obj)
+        if text:
+            beside[stored.ASKED] = f"{text}/{side}"
+        elif stored.ASKED in beside:
+            del beside[stored.ASKED]
+
+
+def unfit(obj: bpy.types.Object, request: BakeRequest, depsgraph: bpy.types.Depsgraph) -> str:
+    """Why the layer made by us for `obj` does not fit the object or `request`, as words after its name; empty where it does or is none."""
+    why = outdated(obj, depsgraph)
+    if why or not own_layer(obj) or (stored.read(marked(obj), stored.ASKED) or "/").split("/")[0] == asked(obj, request):
+        return why
+    return "has lightmap UVs of another density than is asked for"
+
+
+def side_of(obj: bpy.types.Object, request: BakeRequest, side: int) -> int:
+    """Texels a side of the image of `obj`: as its layer was made for where texels a metre are asked for, else `side`."""
+    known = (stored.read(marked(obj), stored.ASKED) or "/").split("/")[1]
+    return int(known) if known and request.texels_per_metre and not request.uv_layer else side
+
+
+def _unwrap(objects: Sequence[bpy.types.Object], faces: Sequence[MeshFaces], side: int, density: np.ndarray) -> Unwrapped:
+    with listed_errors(objects):
+        return unwrap([face.mesh for face in faces], side, paddings(side), density)
+
+
+def _side(area: float, request: BakeRequest) -> int:
+    """Texels a side for surfaces of `area` m2, which counts those of twice the density four times."""
+    return _bounded(request.texels_per_metre * float(np.sqrt(area / FULL)), request.resolution)
+
+
+def _bounded(side: float, most: int) -> int:
+    """Whole texels, a multiple of four where they are fewer than the `most`."""
+    return int(min(most, max(min(SMALLEST, most), 4 * np.ceil(side / 4))))

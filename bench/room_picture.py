@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The standing test room: its lightmap in the window of a real Blender, beside F12 of Cycles, as one picture.
+
+    python bench/room_picture.py [--out docs/pictures] [--blender PROGRAM] [--samples 512] [--resolution 1024]
+
+Builds `tests/room.py`, bakes it to one atlas by path tracing, shows the result and saves the file; nothing is applied. Then a Blender with
+a window opens that file, without the extension, and its viewport is taken; and Cycles renders the room as it was before. Needs a Python
+with the bpy wheel that is no newer than that Blender.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+SIZE = (640, 480)  # of each half
+SESSION = """
+import subprocess, sys, bpy
+out = sys.argv[-1]
+def shoot():
+    subprocess.run(["import", "-window", "root", out], check=True, timeout=60)
+    bpy.ops.wm.quit_blender()
+def arrange():
+    window = bpy.context.window_manager.windows[0]
+    area = max((a for a in window.screen.areas if a.type == "VIEW_3D"), key=lambda a: a.width * a.height)
+    with bpy.context.temp_override(window=window, area=area, region=next(r for r in area.regions if r.type == "WINDOW")):
+        bpy.ops.screen.screen_full_area(use_hide_panels=True)
+    area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
+    space = area.spaces.active
+    space.show_region_ui = space.show_region_toolbar = space.show_gizmo = False
+    space.overlay.show_overlays = False
+    space.shading.type = "RENDERED"
+    space.region_3d.view_perspective = "CAMERA"
+    with bpy.context.temp_override(window=window, area=area, region=next(r for r in area.regions if r.type == "WINDOW")):
+        bpy.ops.view3d.view_center_camera()
+    bpy.app.timers.register(shoot, first_interval=90.0)
+    from bpy_extras.view3d_utils import location_3d_to_region_2d as place
+    region = next(r for r in area.regions if r.type == "WINDOW")
+    def told():
+        camera = bpy.context.scene.camera
+        corners = [camera.matrix_world @ v for v in camera.data.view_frame(scene=bpy.context.scene)]
+        at, corner = [place(region, space.region_3d, c) for c in corners], (region.x, region.y)
+        print("FRAME", window.height, *(round(f([p[k] for p in at]) + corner[k]) for f in (min, max) for k in (0, 1)), flush=True)
+    bpy.app.timers.register(told, first_interval=80.0)
+bpy.context.preferences.view.show_splash = False
+bpy.app.timers.register(arrange, first_interval=2.0)
+"""
+
+
+def bake_room(folder: Path, samples: int, resolution: int) -> None:
+    """Save the baked room as room.blend in `folder`, and F12 of the room as rendered.png. Loads the repository as the package adjgi."""
+    spec = importlib.util.spec_from_file_location("adjgi", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
+    sys.modules["adjgi"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(sys.modules["adjgi"])
+    import bpy
+    from adjgi.adjoint_gi.bridge.results import preview
+    from adjgi.tests import baking, room
+
+    bpy.ops.wm.read_homefile(use_empty=False, use_factory_startup=True)
+    for obj in list(bpy.data.objects):
+        bpy.data.objects.remove(obj)
+    scene = room.build()
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = *SIZE, 100
+    scene.view_settings.view_transform = "Standard"
+    scene.view_settings.exposure = -1.0
+    scene.render.engine, scene.cycles.samples, scene.cycles.device = "CYCLES", samples, "CPU"
+    scene.render.filepath = str(folder / "rendered.png")
+    bpy.ops.render.render(write_still=True)
+    made = baking.bake(baking.request(atlas=True, resolution=resolution, values={"samples": samples}))
+    for notice in made.notices:
+        print(notice)
+    preview.show([o for o in scene.objects if o.type == "MESH"], "irradiance")
+    scene.render.filepath = str(folder / "shown.png")
+    bpy.ops.render.render(write_still=True)
+    scene.render.engine = next(e for e in ("BLENDER_EEVEE_NEXT", "BLENDER_EEVEE") if e in engines(scene))
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "room.blend"))
+
+
+def engines(scene) -> list[str]:
+    """Names that Blender knows for its engines, of which EEVEE has had two."""
+    try:
+        scene.render.engine = ""
+    except TypeError as error:
+        return str(error).split("'")
+    return []
+
+
+def take_window(folder: Path, blender: str) -> None:
+    """Save what the viewport of `blender` shows of room.blend through the camera as window.png."""
+    script, shot = folder / "session.py", folder / "root.png"
+    script.write_text(SESSION)
+    command = [blender, "--factory-startup", str(folder / "room.blend"), "--python", str(script), "--", str(shot)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=400, stdin=subprocess.DEVNULL)
+    frame = next((line for line in done.stdout.splitlines() if line.startswith("FRAME ")), None)
+    if frame is None:
+        sys.exit(f"the window gave no picture:\n{done.stdout}\n{done.stderr}")
+    height, left, low, right, high = map(int, frame.split()[1:])
+    from PIL import Image
+
+    Image.open(shot).convert("RGB").crop((left, height - high, right, height - low)).resize(SIZE).save(folder / "window.png")
+
+
+def main() -> int:
+    """Bake, take both pictures and put them side by side."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "pictures")
+    parser.add_argument("--blender", default=str(ROOT.parent / "shared" / "tools" / "real-blender"))
+    parser.add_argument("--samples", type=int, default=512)
+    parser.add_argument("--resolution", type=int, default=1024)
+    parser.add_argument("--folder", type=Path, help="keep all files here")
+    arguments = parser.parse_args()
+    folder = arguments.folder or Path(tempfile.mkdtemp())
+    bake_room(folder, arguments.samples, arguments.resolution)
+    take_window(folder, arguments.blender)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
