@@ -18,7 +18,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-SIZE = (640, 480)  # of each half
+SIZE = (480, 360)  # of each half
 SESSION = """
 import subprocess, sys, bpy
 out = sys.argv[-1]
@@ -67,7 +67,6 @@ def bake_room(folder: Path, samples: int, resolution: int) -> None:
     scene = room.build()
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = *SIZE, 100
     scene.view_settings.view_transform = "Standard"
-    scene.view_settings.exposure = -1.0
     scene.render.engine, scene.cycles.samples, scene.cycles.device = "CYCLES", samples, "CPU"
     scene.render.filepath = str(folder / "rendered.png")
     bpy.ops.render.render(write_still=True)

@@ -101,7 +101,7 @@ def _planks(material: bpy.types.Material) -> None:
 def _cupboard(material: bpy.types.Material) -> None:
     """One half of a cupboard; Mirror makes the other."""
     half = _boxes("Cupboard", [((0.25, 0.0, 0.0), (0.48, 0.4, 1.8)), ((0.03, -0.22, 0.1), (0.02, 0.04, 0.3))], material)
-    half.location, half.rotation_euler = (3.7, 1.2, 0.91), (0.0, 0.0, math.radians(-90))
+    half.location, half.rotation_euler = (3.75, 2.7, 0.91), (0.0, 0.0, math.radians(-90))
     half.modifiers.new("Mirror", "MIRROR")
 
 
@@ -141,14 +141,12 @@ def _panel() -> None:
 
 
 def _pane() -> None:
-    """The glass of the window."""
-    (a, b), (c, d) = WINDOW
+    """A pane of glass that stands on the table."""
     glass = _paint("Pane", (1.0, 1.0, 1.0))
     principled = glass.node_tree.nodes["Principled BSDF"]
     principled.inputs["Transmission Weight"].default_value, principled.inputs["Roughness"].default_value = 1.0, 0.0
     principled.inputs["IOR"].default_value = 1.0
-    y = SIZE[1] + 0.05
-    _mesh("Pane", [(a, y, c), (b, y, c), (b, y, d), (a, y, d)], [(0, 1, 2, 3)], glass)
+    _mesh("Pane", [(1.2, 2.6, 0.735), (1.7, 2.6, 0.735), (1.7, 2.6, 1.1), (1.2, 2.6, 1.1)], [(0, 1, 2, 3)], glass)
 
 
 def _card(material: bpy.types.Material) -> None:
@@ -176,7 +174,7 @@ def _card(material: bpy.types.Material) -> None:
 def _lights(scene: bpy.types.Scene) -> None:
     """A low sun through the window, and a sky."""
     sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
-    sun.data.energy, sun.data.angle = 4.0, math.radians(2.0)
+    sun.data.energy, sun.data.angle = 8.0, math.radians(2.0)
     sun.rotation_euler = (math.radians(-55.0), 0.0, math.radians(20.0))
     _link(sun)
     scene.world = scene.world or bpy.data.worlds.new("World")
@@ -190,8 +188,8 @@ def _lights(scene: bpy.types.Scene) -> None:
 def _camera(scene: bpy.types.Scene) -> None:
     """Looks from a corner at the window."""
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    camera.data.lens = 18.0
-    camera.location, camera.rotation_euler = (3.4, 0.25, 1.5), (math.radians(82.0), 0.0, math.radians(18.0))
+    camera.data.lens = 16.0
+    camera.location, camera.rotation_euler = (2.9, 0.2, 1.5), (math.radians(82.0), 0.0, math.radians(12.0))
     _link(camera)
     scene.camera = camera
 
