@@ -3,7 +3,7 @@
 
     python bench/room_picture.py [--out docs/pictures] [--blender PROGRAM] [--samples 512] [--resolution 1024]
 
-Builds `tests/room.py`, bakes it to one atlas by path tracing, shows the result and saves the file; nothing is applied. Then a Blender with
+Builds `tests/room.py`, bakes it to one atlas by particle tracing, shows the result and saves the file; nothing is applied. Then a Blender with
 a window opens that file, without the extension, and its viewport is taken; and Cycles renders the room as it was before. Needs a Python
 with the bpy wheel that is no newer than that Blender.
 """
@@ -19,6 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 SIZE = (480, 360)  # of each half
+PARTICLES = 20_000_000
 SESSION = """
 import subprocess, sys, bpy
 out = sys.argv[-1]
@@ -70,7 +71,7 @@ def bake_room(folder: Path, samples: int, resolution: int) -> None:
     scene.render.engine, scene.cycles.samples, scene.cycles.device = "CYCLES", samples, "CPU"
     scene.render.filepath = str(folder / "rendered.png")
     bpy.ops.render.render(write_still=True)
-    made = baking.bake(baking.request(atlas=True, resolution=resolution, values={"samples": samples}))
+    made = baking.bake(baking.request("particle_tracing", atlas=True, resolution=resolution, values={"particles": PARTICLES}))
     for notice in made.notices:
         print(notice)
     preview.show([o for o in scene.objects if o.type == "MESH"], "irradiance")
