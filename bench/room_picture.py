@@ -3,9 +3,9 @@
 
     python bench/room_picture.py [--out docs/pictures] [--blender PROGRAM] [--samples 512] [--resolution 1024]
 
-Builds `tests/room.py`, bakes it to one atlas by particle tracing, shows the result and saves the file; nothing is applied. Then a Blender with
-a window opens that file, without the extension, and its viewport is taken; and Cycles renders the room as it was before. Needs a Python
-with the bpy wheel that is no newer than that Blender.
+Builds `tests/room.py`, bakes it to one atlas by particle tracing, shows the result and saves the file; nothing is applied. Then a Blender
+with a window opens that file, without the extension, and its viewport is taken; and Cycles renders the room as it was before. Needs a
+Python with the bpy wheel that is no newer than that Blender, and Pillow.
 """
 
 from __future__ import annotations
