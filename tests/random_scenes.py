@@ -17,6 +17,7 @@ import numpy as np
 from mathutils import Matrix
 
 NAN, INF = float("nan"), float("inf")
+MOST = 20_000  # faces of a scene
 REFUSED = (AttributeError, KeyError, RuntimeError, TypeError, ValueError, OverflowError, IndexError, ReferenceError)
 HOSTILE = (NAN, INF, -INF, -1.0, 0.0, 1e30, -1e30, 1e-30, 1e9)
 OURS = ("results", "about", "made", "attributes", "uv", "uv_atlas", "preview", "slot", "material", "original", "hidden", "carried", "")
@@ -68,9 +69,19 @@ class RandomScene:
             self.attempt(self.other_scene)
         if rng.random() < 0.3:
             self.attempt(self.settings)
-        bpy.context.view_layer.update()  # until then its list of objects may have holes
+        self.bounded()
         for obj in bpy.context.view_layer.objects:
             self.attempt(obj.select_set, rng.random() < 0.4)
+
+    def bounded(self) -> None:
+        """Take modifiers, then instances away from a scene that would take long for its size alone."""
+        for step in (lambda o: o.modifiers.clear(), lambda o: setattr(o, "instance_type", "NONE")):
+            bpy.context.view_layer.update()  # until then its list of objects may have holes
+            instances = bpy.context.evaluated_depsgraph_get().object_instances
+            if sum(len(i.object.data.polygons) for i in instances if i.object.type == "MESH") > MOST:
+                for obj in bpy.data.objects:
+                    step(obj)
+        bpy.context.view_layer.update()
 
     # ---- choices
 

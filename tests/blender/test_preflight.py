@@ -230,9 +230,10 @@ def test_49_a_mesh_shared_by_objects():
     other = linked("Twin", made.data)
     other.location = (3, 0, 0)
     assert errors("texture") == []
-    notices = errors("attribute")
-    assert notices and all("shares its mesh" in n.reason and n.remedy for n in notices)
-    assert errors("attribute", new_object=True) == []
+    told = [n for n in said("attribute") if "shares its mesh" in n.reason]
+    assert {n.severity for n in told} == {"info"} and all(module.SEPARATE in n.reason for n in told)
+    assert {name for n in told for name in n.names} == {made.name, other.name}
+    assert errors("attribute") == [] and errors("attribute", new_object=True) == []
 
 
 def test_55_unsaved_file_is_said(tmp_path):
@@ -344,12 +345,12 @@ def _words(notice):
     return notice.reason, notice.remedy, notice.severity
 
 
-def test_modifiers_that_change_the_mesh_refuse_an_attribute():
+def test_modifiers_that_change_the_mesh_give_an_attribute_an_object_of_its_own():
     made = plane(emission=(1, 1, 1))
     made.modifiers.new("Subdivide", "SUBSURF").levels = 1
-    notices = errors("attribute")
-    assert len(notices) == 1 and "Subdivide" in notices[0].reason
-    assert errors("attribute", new_object=True) == [] and errors("texture") == []
+    (told,) = [n for n in said("attribute") if module.SEPARATE in n.reason]
+    assert told.severity == "info" and "Subdivide" in told.reason
+    assert errors("attribute") == [] and errors("attribute", new_object=True) == [] and errors("texture") == []
 
 
 def test_picture_without_camera_or_folder():
@@ -420,10 +421,10 @@ def test_overrides_and_linked_meshes_are_skipped_with_a_warning(library):
     found = {n.object: n for n in warnings() if "not baked" in n.reason}
     assert "library override" in found["Far"].reason and found["Far"].remedy
     assert errors() == []
-    # Of a texture nothing has to be written to the mesh, of an attribute it has.
+    # Of a texture nothing has to be written to the mesh, and an attribute goes to an object of its own.
     assert "Local" not in found
-    (told,) = [n for n in warnings("attribute") if n.object == "Local" and "not baked" in n.reason]
-    assert 'its mesh "Shape" is linked' in told.reason and "Make Single User" in told.remedy
+    (told,) = [n for n in said("attribute") if n.object == "Local" and module.SEPARATE in n.reason]
+    assert 'its mesh "Shape" is linked' in told.reason and told.severity == "info"
     assert "Local" not in {n.object for n in said("attribute", new_object=True) if "not baked" in n.reason}
 
 

@@ -69,10 +69,11 @@ class AttributeWriter(Writer):
     def _write_mesh(self, where: tuple, found: tuple[np.ndarray, np.ndarray], how: dict[str, Any]) -> WrittenAttribute:
         """Onto the object's mesh, or onto an object of its own where the user has meanwhile made a linked duplicate or a modifier that
         changes the mesh: the result is whole, and its mesh is still there."""
+        separate = self.request.new_object or where[0].name in self.request.separate
         try:
-            return write_attribute(*where, *found, **how, new_object=self.request.new_object)
+            return write_attribute(*where, *found, **how, new_object=separate)
         except TargetError as error:
-            if not self.is_last or self.request.new_object:
+            if not self.is_last or separate:
                 raise
             written = write_to_copy(*where, *found, name=self.request.attribute, reason=error)
             text = f'{error.notice.reason}; that is new since the bake was started, so the result is on the object "{written.object.name}"'

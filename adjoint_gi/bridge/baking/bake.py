@@ -2,6 +2,7 @@
 """One bake from Blender's scene to Blender's data and files: the same for the panel, the command line and scripts.
 
     bake = Bake(context, request)      # refuses, or extracts, places receivers and makes the driver
+    rehearse(context, request)         # what the same would say, without leaving anything behind
     bake.driver.run()                  # or start(), stop(), resume() in the background
     bake.write(bake.driver.solution())
     report.of_bake(bake)
@@ -12,10 +13,12 @@ Everything here belongs on the main thread; only the driver's own thread compute
 from __future__ import annotations
 
 import contextlib
+from dataclasses import dataclass, replace
 
 import bpy
+import numpy as np
 
-from ...core.base.errors import AdjointError, Notice
+from ...core.base.errors import AdjointError, Notice, SceneError, TargetError
 from ...core.method.driver import Driver
 from ...core.method.solution import Solution
 from ...core.scene.arrays import SceneArrays
@@ -26,7 +29,7 @@ from ..props.request import BakeRequest, raise_first
 from . import outputs
 from .attributes import AttributeWriter
 from .picture import PictureWriter
-from .preflight import inspect, look, ordered, picture_size, preflight, receiving
+from .preflight import inspect, left_out, ordered, picture_size, preflight, receiving, resolve, target_objects
 from .textures import TextureWriter
 from .writer import Writer
 
@@ -45,36 +48,17 @@ class Bake:
 
     def __init__(self, context: bpy.types.Context, request: BakeRequest) -> None:
         """Raises `AdjointError` with object, reason and remedy when the bake is refused; then nothing has been changed."""
-        self.request = request
         self.written: list[str] = []
         self.files: list[str] = []
         self.scene_name = context.scene.name
+        built = build(context, request, said := [])
+        self._undo = built.undo
+        self.request, self.writer, self.driver = built.writer.request, built.writer, built.driver
+        self.notices: list[Notice] = [n for n in ordered(said) if n.severity != "error"]
 
-        # Step 1: refuse what cannot work, before anything is touched.
-        notices = look(context, request)
-        raise_first(notices)
-        arrays = self._extract(context)
-        world = World(arrays)
-        taken = outputs.problems(request, arrays, receiving(arrays, request), self.scene_name)
-        notices = ordered([*notices, *inspect(world, request), *taken])
-        raise_first(notices)
-        if request.output:
-            files.output_folder(request.output)  # only writing there shows whether it can be done
-
-        # Step 2: UV layers that are missing are made; then the scene has to be read again.
-        kind = WRITERS[request.target]
-        made = kind.prepare(context, request, world)
-        with contextlib.ExitStack() as undo:
-            if made is not None:
-                undo.push(made.undo)
-                world = World(self._extract(context))
-
-            # Step 3: receivers and the driver.
-            self.writer = kind(context, request, world)
-            undo.pop_all()
-        said = made.notices if made is not None else ()
-        self.notices: list[Notice] = ordered([*(n for n in notices if n.severity != "error"), *said, *self.writer.notices])
-        self.driver = Driver(request.solver, world, self.writer.receivers, request.settings)
+    def take_back(self) -> None:
+        """Remove what was made on the objects for a bake that is refused or ends without a result; after a `write` it stays."""
+        self._undo.close()
 
     def write(self, solution: Solution) -> list[str]:
         """Write `solution` where it was asked for and read it back; returns the names of datablocks and paths of files.
@@ -82,6 +66,7 @@ class Bake:
         While the driver runs, only datablocks are refreshed. A partial result is labelled so, in file names too. Raises
         `TargetError` or `WriteError`; where only the files failed, the datablocks are written all the same, and `written` names them.
         """
+        self._undo.pop_all()
         live = self.driver.state == "running"
         wanted = not live and (self.request.output or self.writer.needs_folder)
         self.written, self.files, self.writer.notices = [], [], []
@@ -101,6 +86,88 @@ class Bake:
         self.written = [*datablocks, *self.files]
         return self.written
 
-    def _extract(self, context: bpy.types.Context) -> SceneArrays:
-        depsgraph = context.evaluated_depsgraph_get()
-        return extract(depsgraph, context.scene, picture_size(context.scene, self.request))
+
+@dataclass
+class Built:
+    """All of a bake but the solve; `undo` takes back what was made on the objects."""
+
+    writer: Writer
+    driver: Driver
+    undo: contextlib.ExitStack
+
+
+def build(context: bpy.types.Context, request: BakeRequest, said: list[Notice]) -> Built:
+    """Everything before the solve; notices are added to `said`. Raises `AdjointError` when the bake is refused; then nothing has changed.
+
+    Where no objects are named, one that turns out not to be able to receive is left out, with a warning, and the rest is built.
+    """
+    told: list[Notice] = []
+    while True:
+        notices: list[Notice] = []
+        try:
+            built = _attempt(context, request, notices)
+        except (SceneError, TargetError) as error:
+            objects = [o.name for o in target_objects(context, request)] if request.target != "render" and not request.objects else []
+            if error.notice.object not in objects or len(objects) == 1:
+                said += [*told, *notices]
+                raise
+            told.append(left_out(error.notice))
+            request = replace(request, left_out=(*request.left_out, error.notice.object))
+            continue
+        said += [*told, *notices]
+        return built
+
+
+def _attempt(context: bpy.types.Context, request: BakeRequest, said: list[Notice]) -> Built:
+    """`build` for these objects; raises `AdjointError` when one of them cannot receive."""
+    # Step 1: refuse what cannot work, before anything is touched.
+    request, notices = resolve(context, request)
+    said += notices
+    raise_first(notices)
+    arrays = _extract(context, request)
+    world = World(arrays)
+    found = [*inspect(world, request), *outputs.problems(request, arrays, receiving(arrays, request), context.scene.name)]
+    said += found
+    raise_first(ordered(found))
+    if request.output:
+        files.output_folder(request.output)  # only writing there shows whether it can be done
+
+    # Step 2: UV layers that are missing are made; then the scene has to be read again.
+    kind = WRITERS[request.target]
+    with contextlib.ExitStack() as undo:
+        made = kind.prepare(context, request, world)
+        if made is not None:
+            undo.callback(context.view_layer.update)
+            undo.push(made.undo)
+            said += made.notices
+            world = World(_extract(context, request))
+
+        # Step 3: receivers and the driver.
+        writer = kind(context, request, world)
+        said += writer.notices
+        return Built(writer, Driver(request.solver, world, writer.receivers, request.settings), undo.pop_all())
+
+
+def rehearse(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
+    """All that a bake would say before its first result, errors first. All of it is done, by the same code, and taken back."""
+    said: list[Notice] = []
+    try:
+        built = build(context, request, said)
+        with built.undo:
+            _first_step(built.driver)
+    except AdjointError as error:
+        said += [n for n in (error.notice, *error.others) if n not in said]
+    return ordered(said)
+
+
+def _first_step(driver: Driver) -> None:
+    """Let the method look closely at the scene; raises what refuses the bake then: memory, or a scene that has no solution."""
+    rng = np.random.default_rng(driver.settings.seed)
+    steps = driver.solver.solve(driver.world, driver.receivers, driver.settings, rng)
+    with contextlib.closing(steps), contextlib.suppress(StopIteration):
+        next(steps)
+
+
+def _extract(context: bpy.types.Context, request: BakeRequest) -> SceneArrays:
+    depsgraph = context.evaluated_depsgraph_get()
+    return extract(depsgraph, context.scene, picture_size(context.scene, request))

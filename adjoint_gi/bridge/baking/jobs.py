@@ -10,7 +10,7 @@ from pathlib import Path
 
 import bpy
 
-from ...core.base.errors import AdjointError, Notice
+from ...core.base.errors import AdjointError, MemoryRefused, Notice, SceneError
 from ...core.method.solution import Solution
 from ..host import background, preferences
 from ..props import properties, records
@@ -32,6 +32,7 @@ class BakeJob(background.Job):
         self.request = request
         with background.undo_step_of_additions("Adjoint GI Lightmap UVs"):
             self.bake = Bake(context, request)
+        self.request = request = self.bake.request
         super().__init__(context.scene.session_uid, self.bake.driver)
         objects = target_objects(context, request) if request.target != "render" else ()
         layers = {o.session_uid: find_uv_layer(o, request.uv_layer) for o in objects} if request.target == "texture" else {}
@@ -134,6 +135,8 @@ class BakeJob(background.Job):
     def fail(self, error: BaseException | None) -> None:
         """The solver or a write raised: also keep the last partial result if there is one."""
         super().fail(error)
+        if isinstance(error, SceneError | MemoryRefused) and self.driver.solution() is None:
+            self.bake.take_back()
         self.solution, self._kept = self.driver.solution(), ""
 
     def has_lost_targets(self) -> bool:

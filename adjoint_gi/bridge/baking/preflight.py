@@ -36,12 +36,13 @@ from .sides import planned, unfit
 
 QUICK = 300_000  # triangles above which the panel's check does not extract the scene
 LEFT_OUT = ("and is left out", "so it is left out")  # words of the extraction for a whole object that is not there
+SEPARATE = "its result goes to an object of its own, as New Object does it"  # words about an attribute that the mesh cannot hold
 BYTES_A_TRIANGLE = 900  # arrays, rows of the world and Embree's tree, measured on zdm2
 
 
 def preflight(context: bpy.types.Context, request: BakeRequest, thorough: bool = False) -> list[Notice]:
     """All notices, errors first. Nothing is changed. Big scenes are extracted only when `thorough`."""
-    notices = look(context, request)
+    request, notices = resolve(context, request)
     if any(n.severity == "error" for n in notices):
         return notices
     depsgraph = context.evaluated_depsgraph_get()
@@ -66,6 +67,15 @@ def ordered(notices: list[Notice]) -> list[Notice]:
 
 def look(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
     """What is found without extracting the scene."""
+    return resolve(context, request)[1]
+
+
+def resolve(context: bpy.types.Context, request: BakeRequest) -> tuple[BakeRequest, list[Notice]]:
+    """`request` with what Blender's data say of each object, and what is found without extracting the scene.
+
+    Where no objects are named, those that cannot receive are left out, and are errors only when there are no others. An attribute that a
+    mesh cannot hold goes to an object of its own.
+    """
     notices = request.problems()
     scene = context.scene
     context.view_layer.update()  # after a removal its list of objects has a hole until then
@@ -76,14 +86,30 @@ def look(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
         for name in request.objects:
             notices += _named(context, name)
         if not any(n.severity == "error" for n in notices):
-            objects, left_out = _targets(context, request)
-            notices += left_out
-            check = _texture_target if request.target == "texture" else _attribute_target
-            for obj in objects:
-                notices += check(obj, request)
+            request, found = _resolve_objects(context, request)
+            notices += found
     notices += _output(request)
     notices += _damaged()
-    return ordered(notices)
+    return request, ordered(notices)
+
+
+def _resolve_objects(context: bpy.types.Context, request: BakeRequest) -> tuple[BakeRequest, list[Notice]]:
+    """The same, of the objects alone."""
+    check = _texture_target if request.target == "texture" else _attribute_target
+    objects = [o for o in _meant(context, request) if o.name not in request.left_out]
+    found = {o: check(o, request) for o in objects}
+    bad = [o for o in objects if any(n.severity == "error" for n in found[o])]
+    notices = [n for o in objects for n in found[o]]
+    request = replace(request, separate=tuple(o.name for o in objects if any(SEPARATE in n.reason for n in found[o])))
+    if request.objects or len(bad) == len(objects):
+        return request, notices
+    notices = [left_out(n) if n.severity == "error" else n for n in notices]
+    return replace(request, left_out=(*request.left_out, *(o.name for o in bad))), notices
+
+
+def left_out(error: Notice) -> Notice:
+    """What is said of an object that cannot receive where others do."""
+    return replace(error, reason=f"{error.reason}; it is in the light, but not baked", severity="warning")
 
 
 def _damaged() -> list[Notice]:
@@ -94,25 +120,16 @@ def _damaged() -> list[Notice]:
 
 def target_objects(context: bpy.types.Context, request: BakeRequest) -> list[bpy.types.Object]:
     """The mesh objects that `request` means: those named, or all that have faces, are not hidden in render and can be written to."""
-    return _targets(context, request)[0]
+    request = resolve(context, request)[0]
+    return [o for o in _meant(context, request) if o.name not in request.left_out and (request.objects or targets.linked(o, False) is None)]
 
 
-def _targets(context: bpy.types.Context, request: BakeRequest) -> tuple[list[bpy.types.Object], list[Notice]]:
-    """The same, and warnings for objects that are left out because nothing can be written to them; errors when there are no others."""
+def _meant(context: bpy.types.Context, request: BakeRequest) -> list[bpy.types.Object]:
+    """The mesh objects named, or all that have faces and are not hidden in render, whether they can be written to or not."""
     wanted = dict.fromkeys(request.objects)
     if wanted:
-        return [context.view_layer.objects[name] for name in wanted if name in context.view_layer.objects], []
-    why = [(o, unwritable(o, request)) for o in _with_faces(context)]
-    able = [o for o, error in why if error is None]
-    left_out = [error.notice for _, error in why if error is not None]
-    if able:
-        left_out = [replace(n, reason=f"{n.reason}; it is in the light, but not baked", severity="warning") for n in left_out]
-    return able, left_out
-
-
-def unwritable(obj: bpy.types.Object, request: BakeRequest) -> TargetError | None:
-    """Why `obj`, of another file, cannot keep the result, so that it is left out unless it was named; None when it can."""
-    return targets.linked(obj, request.target == "attribute" and not request.new_object)
+        return [context.view_layer.objects[name] for name in wanted if name in context.view_layer.objects]
+    return _with_faces(context)
 
 
 def _with_faces(context: bpy.types.Context) -> list[bpy.types.Object]:
@@ -177,7 +194,8 @@ def receiving(arrays: SceneArrays, request: BakeRequest) -> list[int]:
     own = [i for i, o in enumerate(arrays.objects) if not o.instance and o.uid in meshes]
     if request.objects:
         return [i for i in own if arrays.objects[i].source in request.objects]
-    return [i for i in own if unwritable(meshes[arrays.objects[i].uid], request) is None]
+    able = [i for i in own if targets.linked(meshes[arrays.objects[i].uid], False) is None]
+    return [i for i in able if arrays.objects[i].source not in request.left_out]
 
 
 def emits(world: World) -> bool:
@@ -315,11 +333,14 @@ def _texture_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]
 
 
 def _attribute_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]:
-    """Whether the mesh can hold the attribute."""
+    """Whether the mesh can hold the attribute, or an object of its own can."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
     try:
-        check_attribute_target(obj, bpy.context.evaluated_depsgraph_get(), request.new_object)
+        check_attribute_target(obj, depsgraph, request.new_object)
     except TargetError as error:
-        return [error.notice]
+        if request.new_object or targets.linked(obj, False) is not None or obj.mode == "EDIT":
+            return [error.notice]
+        return [Notice(obj.name, f"{error.notice.reason}; {SEPARATE}", "", "info")]
     return []
 
 

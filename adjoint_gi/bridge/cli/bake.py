@@ -19,7 +19,7 @@ from ...core.base.resources import peak_memory, size_text
 from ...core.base.text import json_text
 from ...core.method.driver import answering
 from ...core.method.solution import Solution
-from ..baking.bake import Bake, preflight
+from ..baking.bake import Bake, rehearse
 from ..baking.report import of_bake
 from ..host import files
 from ..props.request import BakeRequest
@@ -42,8 +42,10 @@ def bake(options: argparse.Namespace) -> int:
     failure = solve(made)
     solution = made.driver.solution()
     if isinstance(failure, SceneError | MemoryRefused):
+        made.take_back()
         raise failure  # refused by the method once it had looked closely: what there is until then is no result
     if solution is None:
+        made.take_back()
         if failure is not None:
             raise failure
         raise KeyboardInterrupt
@@ -69,7 +71,7 @@ def check(options: argparse.Namespace) -> int:
     """Say everything that pre-flight finds; 2 when the bake would be refused."""
     request = request_of(options)
     open_scene(options)
-    notices = preflight(bpy.context, request, thorough=True)
+    notices = rehearse(bpy.context, request)
     for notice in notices:
         say(f"{notice.severity}: {notice}")
     errors = sum(n.severity == "error" for n in notices)

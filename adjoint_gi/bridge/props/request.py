@@ -38,6 +38,8 @@ class BakeRequest:
     new_object   write the attribute to an object made of the elements, or by other methods to a copy that carries the evaluated mesh
     output       folder for files; empty means none
     width, height   of the camera picture; 0 means those of the render settings
+    left_out     names of objects that are not baked although none are named: they cannot receive (filled in by pre-flight)
+    separate     names of objects whose attribute goes to an object of its own, because their mesh cannot hold it (the same)
     """
 
     method: str
@@ -58,6 +60,8 @@ class BakeRequest:
     output: str = ""
     width: int = 0
     height: int = 0
+    left_out: tuple[str, ...] = ()
+    separate: tuple[str, ...] = ()
 
     @property
     def solver(self) -> Solver:

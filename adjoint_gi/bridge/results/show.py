@@ -17,16 +17,33 @@ from ...core.base.errors import TargetError
 from ..host.notices import listed
 from . import links as targets
 from . import preview, stored
-from .attribute import linked_attribute, result_object
+from .attribute import check_attribute_target, linked_attribute, result_object
 from .stored import HIDDEN
 
 
 def holders(scene: bpy.types.Scene, quantity: str, target: str, new_object: bool = False) -> list[bpy.types.Object]:
-    """The mesh objects of `scene` that hold a result for `quantity`, as a texture or as an attribute, on themselves or made for it."""
-    made = new_object and target == "attribute"
-    objects = [o for o in scene.objects if o.type == "MESH" and targets.is_result(o) == made]
-    found = targets.link if target == "texture" else linked_attribute
-    return [o for o in objects if found(o, quantity) is not None]
+    """The mesh objects of `scene` that hold a result for `quantity`: as a texture; as an attribute on objects made for it (`new_object`);
+    or as an attribute on themselves, and where their mesh cannot hold one, on objects made for it."""
+    meshes = [o for o in scene.objects if o.type == "MESH"]
+    if target == "texture":
+        return [o for o in meshes if not targets.is_result(o) and targets.link(o, quantity) is not None]
+    holding = [o for o in meshes if linked_attribute(o, quantity) is not None]
+    made = [o for o in holding if targets.is_result(o)]
+    if new_object:
+        return made
+    own = [o for o in holding if not targets.is_result(o)]
+    instead = {o: result_object(o) for o in meshes if not targets.is_result(o) and result_object(o) in made}
+    instead = {o: result for o, result in instead.items() if o not in own or not _can_hold(o)}
+    return [o for o in own if o not in instead] + list(instead.values())
+
+
+def _can_hold(obj: bpy.types.Object) -> bool:
+    """Whether its mesh is one that an attribute can be written to."""
+    try:
+        check_attribute_target(obj, bpy.context.evaluated_depsgraph_get())
+    except TargetError:
+        return False
+    return True
 
 
 def show(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer | None = None) -> int:
