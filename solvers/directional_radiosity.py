@@ -182,7 +182,7 @@ class BinRun(DirectionalRun):
         if self.scattering.clear:
             return None
         area = self.basis.solid * self.transport.area[:, None, None]
-        reflected = self.scattering.apply(whole)
+        reflected = self.transport.share * self.scattering.apply(whole)
         gathered = self.transport.gather(emitted + reflected) + arriving
         escaped = area * self.transport.sky()[..., None] * (emitted + reflected)
         total, unshot = float((area * (emitted + arriving)).sum()), float((area * (gathered - whole)).sum())

@@ -16,7 +16,7 @@ R. L. Cook, "Stochastic Sampling in Computer Graphics", ACM TOG 5(1), 1986, 51-7
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -141,8 +141,8 @@ class DistributionTracer:
         rays += sum(s.brdf_samples**d * (s.light_samples + s.brdf_samples) for d in range(s.split_depth))
         self.batch = max(256, min(SAMPLES_PER_BATCH, (1 << 16) // rays))
 
-    def place(self, owner: np.ndarray, number: np.ndarray, rng: np.random.Generator) -> tuple[Points, Estimate]:
-        """Points of samples `number` (n,) of receivers `owner` (n,), and the estimate at these."""
+    def place(self, owner: np.ndarray, number: np.ndarray, rng: np.random.Generator) -> tuple[Points, Callable]:
+        """Points of samples `number` (n,) of receivers `owner` (n,), and what gives the estimate at those rows of them."""
         s, rows = self.settings, Rows(owner, number, self.settings.samples)
         options = {}
         if self.receivers.takes_uniform:
@@ -150,16 +150,18 @@ class DistributionTracer:
         if self.receivers.kind == "camera" and s.depth_of_field and self.receivers.camera.aperture_radius > 0:
             options["lens"] = self._draw(LENS, rows, 2, rng)
         points = self.receivers.sample(owner, rng, **options)
-        on = rows.take(np.flatnonzero(points.triangle >= 0))
 
-        def estimate(surface: Surface, wo: np.ndarray | None, rng: np.random.Generator) -> Gathered:
-            if s.max_length < 1:
-                nothing = np.zeros((len(surface.triangle), 3), np.float32)
-                return Gathered(nothing, nothing, 0)
-            vertices, factor = start(self.walk, surface, wo)
-            return self.trace(vertices, on, 1, rng).times(factor)
+        def bind(on: np.ndarray) -> Estimate:
+            return lambda surface, wo, rng: self._estimate(surface, wo, rows.take(on), rng)
 
-        return points, estimate
+        return points, bind
+
+    def _estimate(self, surface: Surface, wo: np.ndarray | None, rows: Rows, rng: np.random.Generator) -> Gathered:
+        if self.settings.max_length < 1:
+            nothing = np.zeros((len(surface.triangle), 3), np.float32)
+            return Gathered(nothing, nothing, 0)
+        vertices, factor = start(self.walk, surface, wo)
+        return self.trace(vertices, rows, 1, rng).times(factor)
 
     def trace(self, vertices: LobeVertices, rows: Rows, length: int, rng: np.random.Generator) -> Gathered:
         """Eq. 5 at `vertices`, Le left out; `length` is the path length of light that reaches them directly.

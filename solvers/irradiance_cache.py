@@ -215,12 +215,16 @@ class CacheRun:
         origin = np.repeat(world.leave(surface), many, axis=0)
         # Rays below the geometric surface bring nothing.
         up = np.einsum("ij,ij->i", direction, np.repeat(surface.ng, many, axis=0)) > 0
-        triangle, u, v, t = world.intersect(origin, direction, RayKind.DIFFUSE)
+        triangle, u, v, t = met = world.intersect(origin, direction, RayKind.DIFFUSE)
+        weight, passed = np.ones((3, len(direction)), np.float32), 0
+        if world.passing is not None:
+            triangle, u, v, t = met = tuple(np.array(a) for a in met)
+            passed = sum(len(rows) for rows, _ in world.pass_on(origin, direction, RayKind.DIFFUSE, met, weight, rng))
         hit = np.flatnonzero((triangle >= 0) & up)
         there = world.surface(triangle[hit], u[hit], v[hit], -direction[hit])
         found = gather(self.walk, there, lobes_of(self.walk, there, -direction[hit]), rng, first_length=2)
         radiance, distance = np.zeros((len(direction), 3), np.float32), np.full(len(direction), 4 * world.extent, np.float32)
-        radiance[hit] = found.indirect
+        radiance[hit] = found.indirect * weight.T[hit]
         distance[hit] = np.maximum(t[hit], np.float32(1e-6 * world.extent))
         tail = np.zeros(2) if found.tail is None else found.tail.sum(axis=1, dtype=np.float64)
-        return radiance.reshape(*shape, 3), distance.reshape(shape), len(direction) + found.rays, tail
+        return radiance.reshape(*shape, 3), distance.reshape(shape), len(direction) + passed + found.rays, tail

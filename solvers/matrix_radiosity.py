@@ -104,7 +104,7 @@ class MatrixRadiosity(Solver):
         sides = matrix.sides
 
         # 4. F(ij), reciprocal and closed.
-        rho = elements.albedo[sides >> 1]
+        rho = elements.held.albedo[sides]
         yield from run.stage(matrix.build(rho), 0.5, 0.9, f"Form factors of {len(sides):,} element sides")
         refuse_trapped(elements, sides, matrix.transport)
         system = System(matrix.transport, run.emitted[sides], light[sides], s.min_length, s.max_length)

@@ -14,7 +14,7 @@ T. Whitted, "An Improved Illumination Model for Shaded Display", CACM 23(6), 198
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf import mirrors
 from ..adjoint_gi.core.bsdf import table as bsdf
 from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES, DIFFUSE, LOBE_KINDS, LOBES, REFRACTING, SHINING
-from ..adjoint_gi.core.lights.direct import INF, from_hits
+from ..adjoint_gi.core.lights.direct import INF, Hit, from_hits
 from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.lights.light_points import LightPoints, phong_lobe
 from ..adjoint_gi.core.method import common_settings as common
@@ -205,16 +205,18 @@ class MirrorTracer:
             if len(front.row) > FRONT:
                 waiting += [(depth, front.take(slice(a, a + FRONT))) for a in range(0, len(front.row), FRONT)]
                 continue
-            found, reflected, nexts, cast = self._follow(front, depth)
+            found, reflected, nexts, behind, cast = self._follow(front, depth)
             rays += cast
+            waiting += [(depth, f) for f in behind]
             # What the ray meets has path length `depth`; what the surface there reflects has one more.
             _add(direct if depth == 1 else indirect, front.row, found)
             _add(indirect, front.row, reflected)
             waiting += [(depth + 1, f) for f in nexts]
         return Gathered(direct, indirect, rays)
 
-    def _follow(self, front: Front, depth: int) -> tuple[np.ndarray, np.ndarray, list[Front], int]:
-        """One step of rays that make paths of length `depth`: emission met and light reflected, (m, 3) each, new rays, rays cast."""
+    def _follow(self, front: Front, depth: int) -> tuple[np.ndarray, np.ndarray, list[Front], list[Front], int]:
+        """One step of rays that make paths of length `depth`: emission met and light reflected, (m, 3) each, new rays, the same rays behind
+        surfaces that let them straight through, rays cast."""
         s = self.settings
         triangle, u, v, t = met = self.world.intersect(front.origin, front.wi, front.kind)
         found, reflected = np.zeros_like(front.weight), np.zeros_like(front.weight)
@@ -225,13 +227,29 @@ class MirrorTracer:
                 found[rows] += value.T
             found *= front.weight
         hit = np.flatnonzero(triangle >= 0)
+        behind = self._behind(front, met)
         if not len(hit) or depth >= s.max_length:
-            return found, reflected, [], len(triangle)
+            return found, reflected, [], behind, len(triangle)
         # What the surface there reflects, by the same equation.
         surface = self.world.surface(triangle[hit], u[hit], v[hit], -front.wi[hit])
         lit, ambient, nexts, rays = self._shade(surface, front.take(hit), depth + 1)
         reflected[hit] = lit + ambient
-        return found, reflected, nexts, len(triangle) + rays
+        return found, reflected, nexts, behind, len(triangle) + rays
+
+    def _behind(self, front: Front, met: Hit) -> list[Front]:
+        """What goes straight on through the surfaces that rays have met, which is neither a mirror nor a segment of its own."""
+        passing = self.world.passing
+        rows = np.flatnonzero(passing.lets[met[0]]) if passing is not None else np.zeros(0, np.int64)
+        if not len(rows):
+            return []
+        at = tuple(a[rows] for a in met[:3])
+        some = front.take(rows)
+        weight = some.weight * passing.through(*at)
+        strength = weight.max(axis=1)
+        keep = np.flatnonzero((strength > 0) & (strength >= self.settings.contribution))
+        surface = self.world.surface(*at, -some.wi).take(keep)
+        origin = np.ascontiguousarray(self.world.leave(surface, np.ones(len(keep), bool)))
+        return [replace(some.take(keep), origin=origin, weight=weight[keep])] if len(keep) else []
 
     def _shade(self, surface: Surface, front: Front, length: int) -> tuple[np.ndarray, np.ndarray, list[Front], int]:
         """Eq. 9 where rays hit: light of the light elements and ambient light, both (m, 3) and weighted, the next rays, rays cast.

@@ -326,6 +326,20 @@ BUGS = (
         "/ whole / np.maximum(1 - mean_rho * stays, 1e-3)",
         "tests/core/test_first_passes.py -k ambient",
     ),
+    Bug(
+        "shadow rays stop at surfaces that let light straight through",
+        "adjoint_gi/core/scene/world.py",
+        "        if self.passing is None:\n            return self.occluded(origin, direction, distance, kind), None\n",
+        "        if kind:\n            return self.occluded(origin, direction, distance, kind), None\n",
+        "tests/methods/test_straight_through.py -k tinted_sheet",
+    ),
+    Bug(
+        "what has passed a surface is weighted as if it began there",
+        "adjoint_gi/core/scene/world.py",
+        '        t[rows] += np.einsum("ij,ij->i", start - origin[rows], d) / np.einsum("ij,ij->i", d, d)\n',
+        "",
+        "tests/methods/test_straight_through.py -k counted_twice",
+    ),
 )
 
 

@@ -42,7 +42,7 @@ ALPHA = 1e-3
 def lobes_at(lobes, wo, side=1.0):
     b = SceneBuilder()
     b.quad("Quad", (0, 0, 0), (1, 0, 0), (0, 1, 0), Material("M", tuple(lobes)))
-    table = bsdf.BsdfTable(b.build())
+    table = bsdf.BsdfTable(b.build(), straight=True)
     n = len(wo)
     u = np.full(n, 0.2, np.float32)
     up = np.tile(np.float32([0, 0, 1]), (n, 1))

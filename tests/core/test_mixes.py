@@ -30,7 +30,7 @@ def scene_of(lobes, textures=()):
 
 
 def lobes_at(lobes, wo, side=1.0, textures=(), u=0.2):
-    table = bsdf.BsdfTable(scene_of(lobes, textures))
+    table = bsdf.BsdfTable(scene_of(lobes, textures), straight=True)
     n = len(wo)
     at = np.full(n, u, np.float32), np.full(n, 0.2, np.float32)
     up = np.tile(np.float32([0, 0, 1]), (n, 1))

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..sampling.maps import dot_rows, frame_rows
-from ..scene.arrays import Color, Lobe, Material, RayKind, SceneArrays, constant_of
+from ..scene.arrays import STRAIGHT, Color, Lobe, Material, RayKind, SceneArrays, constant_of
 from ..scene.shading import ColorField, ScalarField
 from ..scene.substitutes import as_diffuse
 from . import microfacet as mf
@@ -157,12 +157,14 @@ class Lobes:
 class BsdfTable:
     """The lobes of every material of a scene; `at` evaluates them at points."""
 
-    def __init__(self, scene: SceneArrays, known: frozenset[str] = ALL_LOBES) -> None:
-        """Lobes that are nearly diffuse and not `known` are diffuse."""
+    def __init__(self, scene: SceneArrays, known: frozenset[str] = ALL_LOBES, straight: bool = False) -> None:
+        """Lobes that are nearly diffuse and not `known` are diffuse. `straight`: light that passes straight is a lobe, too, for those who
+        do not let their rays pass (`scene.passing`)."""
         taken = tuple({"diffuse"} | NEARLY_DIFFUSE - known)
+        left_out = taken if straight else (*taken, STRAIGHT)
         self._material = np.asarray(scene.material, np.int32)
         mats = scene.materials
-        others = [[x for x in m.lobes if x.kind in LOBE_KINDS and x.kind not in taken and not x.is_black] for m in mats]
+        others = [[x for x in m.lobes if x.kind in LOBE_KINDS and x.kind not in left_out and not x.is_black] for m in mats]
         self.count = max((len(o) for o in others), default=0)
         self.varies = np.array([any(x.varies for x in o) for o in others] or [False])
         self.diffuse = ColorField([as_diffuse(m, taken) for m in mats], scene)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..sampling.maps import dot_rows
+from ..scene.arrays import STRAIGHT, Color, Lobe
 from . import microfacet as mf
 from .lobe import DELTA_ALPHA, Drawn, LobeKind, LobeView
 from .reflection import facets, mirrored
@@ -89,10 +90,14 @@ class Glass(Refraction):
 class Transparent(LobeKind):
     """Light goes straight on."""
 
-    name = "transparent"
+    name = STRAIGHT
     delta_below = np.float32(np.inf)
     passes = True
     two_sided = False
+
+    def as_diffuse(self, lobe: Lobe) -> Color:
+        """Nothing: rays of every method pass."""
+        return Color()
 
     def sample(self, seen: LobeView, smooth: np.ndarray, r: np.ndarray) -> Drawn:
         """The only direction that there is."""

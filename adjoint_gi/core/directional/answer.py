@@ -19,6 +19,7 @@ from ..scene.world import Surface
 from ..walks.gathering import sliced
 from ..walks.paths import Walk
 from ..walks.radiance import gather
+from ..walks.sight import seen_at_once
 from .rays import DirectionalRays
 from .scattering import Scattering
 
@@ -53,6 +54,7 @@ class _Seen:
     b: np.ndarray
     local: np.ndarray  # (n, 3) towards the camera, in the side's frame
     base: np.ndarray  # (n, 3) what the diffuse base makes of irradiance
+    factor: np.ndarray  # (n, 3) share of what leaves there that comes to the camera
 
 
 class DirectionalAnswer:
@@ -87,32 +89,27 @@ class DirectionalAnswer:
 
     def _chunk(self, item: tuple[int, Points]) -> tuple[_Seen, list, int]:
         index, points = item
-        e, world = self.caster.elements, self.caster.world
-        on = np.flatnonzero(points.triangle >= 0)
-        towards = points.towards[on]
-        surface = world.surface(points.triangle[on], points.u[on], points.v[on], towards)
+        e, world, every = self.caster.elements, self.caster.world, points.receiver
+        # A generator for each chunk, so that neither threads nor order change the result.
+        rng = np.random.default_rng([13, index])
+        points, factor, emitted = seen_at_once(self.emitters, self.receivers, points, rng, self.settings.min_length == 0)
+        towards = points.towards
+        surface = world.surface(points.triangle, points.u, points.v, towards)
         lobes = self.table.at(surface.triangle, surface.u, surface.v, surface.ns, surface.side, towards)
         element, a, b = e.cell(surface.triangle, surface.u, surface.v)
         side = 2 * element + (surface.side < 0)
-        emitted = np.zeros((len(points.receiver), 3), np.float32)
-        if self.settings.min_length == 0:
-            emitted[:] = self.emitters.escaping(-points.towards)
-            emitted[on] = world.emission(surface)
-            distance = np.where(points.triangle < 0, np.float32(np.inf), points.distance)
-            emitted += self.emitters.along(points.origin, -points.towards, distance)
-        direct, rays = np.zeros((len(on), 3), np.float32), points.rays
-        if self.sharp and len(on):
-            # A generator for each chunk, so that neither threads nor order change the result.
-            direct, cast = self._direct_light(surface, lobes, self.scattering.shiny[element], np.random.default_rng([13, index]))
+        direct, rays = np.zeros((len(side), 3), np.float32), points.rays
+        if self.sharp and len(side):
+            direct, cast = self._direct_light(surface, lobes, self.scattering.shiny[element], rng)
             rays += cast
         base = lobes.diffuse * (1 - lobes.coat()) / np.float32(np.pi)
-        seen = _Seen(points.receiver[on], side, a, b, self.caster.to_local(side, towards), base)
+        seen = _Seen(points.receiver, side, a, b, self.caster.to_local(side, towards), base, factor)
         sums = [
-            sum_by_receiver(points.receiver, emitted),
-            sum_by_receiver(seen.receiver, world.albedo(surface)),
-            sum_by_receiver(seen.receiver, direct),
+            sum_by_receiver(every, emitted),
+            sum_by_receiver(seen.receiver, world.albedo(surface) * factor),
+            sum_by_receiver(seen.receiver, direct * factor),
         ]
-        sums.append(sum_by_receiver(points.receiver, np.ones((len(points.receiver), 1))))
+        sums.append(sum_by_receiver(every, np.ones((len(every), 1))))
         return seen, sums, rays
 
     def _direct_light(self, surface: Surface, lobes: bsdf.Lobes, shiny: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, int]:
@@ -150,7 +147,8 @@ class DirectionalAnswer:
             if shines is not None and len(rows):
                 light[rows] += self._shine(shines, s, rows)
             # What harmonics swing below 0 is not light.
-            return sum_by_receiver(s.receiver, np.concatenate([np.maximum(light, 0), flat[s.side]], axis=1))
+            light = np.maximum(light, 0) * np.tile(s.factor, (1, len(lights)))
+            return sum_by_receiver(s.receiver, np.concatenate([light, flat[s.side] * s.factor], axis=1))
 
         total = np.zeros((self.receivers.count, 3 * len(lights) + 3))
         for first, values in in_order(evaluate, self._seen):

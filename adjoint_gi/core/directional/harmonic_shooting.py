@@ -36,7 +36,7 @@ class HarmonicShooting:
         self.low, self.high = low, high
         self.bounded = high < NO_LIMIT
         n = 2 * e.count
-        self.area = np.repeat(e.area, 2)
+        self.area, self.share = e.held.area, e.held.share[:, None, None]
         self.unshot = np.zeros((length_classes(low, high), n, basis.size, 3))
         self.direct, self.indirect = np.zeros((n, basis.size, 3)), np.zeros((n, basis.size, 3))
         self.emitted, self.absorbed, self.escaped, self.cut = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
@@ -82,7 +82,7 @@ class HarmonicShooting:
             return
         # Elements between the first and the last that are lit: scattering works on ranges.
         first, last = int(lit[0]) >> 1, (int(lit[-1]) >> 1) + 1
-        leaving = self.scattering.apply(moments[2 * first : 2 * last], first=first)
+        leaving = self.share[2 * first : 2 * last] * self.scattering.apply(moments[2 * first : 2 * last], first=first)
         flux = np.einsum("n,a,nac->c", self.area[2 * first : 2 * last], self.basis.flux, leaving)
         self.absorbed += self._arrived(moments) - flux
         if self.bounded and length >= self.high:

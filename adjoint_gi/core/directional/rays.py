@@ -11,7 +11,6 @@ from ..elements.elements import Elements
 from ..elements.rays import ElementRays, shifted_points
 from ..lights.emitters import Emitters
 from ..sampling.maps import TWO_PI, polar_rows
-from ..scene.arrays import RayKind
 from .bins import frames
 
 POINTS = 4  # points of an element that look at the lights, times `samples`
@@ -51,12 +50,7 @@ class DirectionalRays(ElementRays):
     def trace(self, side: np.ndarray, a: np.ndarray, b: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Sides met (n,) int64, -1 where rays escape, and the directions (n, 3) in their frames from which the rays arrive there."""
         origin, direction = self.start(side, a, b), self.to_world(side, w)
-        triangle, u, v, _ = self.world.intersect(origin, direction, RayKind.DIFFUSE)
-        # A ray can slip through exactly at an edge: misses get a second chance a hair beside.
-        missed = np.flatnonzero(triangle < 0)
-        if len(missed):
-            nudged = direction[missed] + np.float32(1e-4) * self.frames[side[missed], 2]
-            triangle[missed], u[missed], v[missed], _ = self.world.intersect(origin[missed], nudged, RayKind.DIFFUSE)
+        triangle, u, v = self.meet(origin, direction, self.frames[side, 2])
         hit = np.flatnonzero(triangle >= 0)
         met, arrives = np.full(len(side), -1, np.int64), np.zeros((len(side), 3), np.float32)
         behind = np.einsum("ij,ij->i", self._normals[triangle[hit]], direction[hit]) > 0
@@ -117,7 +111,10 @@ class ArrivingLight:
         cosine = np.einsum("cn,nc->n", s.wi, self.caster.frames[side, 2])
         lit = np.flatnonzero((cosine > 0) & (s.radiance.max(axis=0) > 0))
         wi = np.ascontiguousarray(s.wi[:, lit].T)
-        hidden = self.caster.world.occluded(np.ascontiguousarray(origin[lit]), wi, s.distance[lit], RayKind.SHADOW) & s.shadow[lit]
-        lit, wi = lit[~hidden], wi[~hidden]
+        hidden, share = self.caster.world.shadows(np.ascontiguousarray(origin[lit]), wi, s.distance[lit])
+        free = np.flatnonzero(~(hidden & s.shadow[lit]))
+        lit, wi = lit[free], wi[free]
         value = s.radiance[:, lit].T * (cosine[lit] / s.pdf_w[lit])[:, None]
+        if share is not None:
+            value *= np.where(s.shadow[lit, None], share[free], np.float32(1))
         return side[lit], self.caster.to_local(side[lit], wi), value

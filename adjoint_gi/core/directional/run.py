@@ -62,4 +62,4 @@ class DirectionalRun(ElementRun):
 
 def leaving(elements: Elements, basis: Basis) -> np.ndarray:
     """The field of the elements' emission, which is the same in all directions."""
-    return np.repeat(elements.emitted / np.pi, 2, axis=0)[:, None] * basis.constant()[:, None]
+    return (elements.held.emitted / np.pi)[:, None] * basis.constant()[:, None]

@@ -31,7 +31,7 @@ class DirectionalTransport:
     def __init__(self, caster: DirectionalRays, bins: Bins, scattering: Scattering, rays: int) -> None:
         e = caster.elements
         self.caster, self.bins, self.scattering, self.rays = caster, bins, scattering, rays
-        self.area = np.repeat(e.area, 2)
+        self.area, self.share = e.held.area, e.held.share[:, None, None]
         self.count = 2 * e.count
         self.met = np.zeros(0, np.int32)
         self._order: tuple[np.ndarray, np.ndarray] | None = None
@@ -91,11 +91,11 @@ class DirectionalTransport:
 
     def apply(self, x: np.ndarray) -> np.ndarray:
         """T x = S V x."""
-        return self.scattering.apply(self.gather(x))
+        return self.share * self.scattering.apply(self.gather(x))
 
     def adjoint(self, y: np.ndarray) -> np.ndarray:
         """T* y = V* S* y."""
-        return self.spread(self.scattering.adjoint(y))
+        return self.spread(self.scattering.adjoint(self.share * y))
 
     def flux(self, x: np.ndarray) -> np.ndarray:
         """(n,) flux of a field, absolute values, the channels summed, W."""
@@ -139,7 +139,7 @@ class DirectionalTransport:
         k = self.bins.size
         padded = self.field()
         padded[:-1] = leaving.reshape(-1, 3)
-        padded[:-1] += self.scattering.apply(solution).reshape(-1, 3)
+        padded[:-1] += (self.share * self.scattering.apply(solution)).reshape(-1, 3)
         for _ in range(limit):
             change = 0.0
             for first, last in self.blocks():
@@ -159,7 +159,7 @@ class DirectionalTransport:
         k = self.bins.size
         ray, start = self._columns()
         solution += arriving
-        unshot = leaving + self.scattering.apply(arriving)
+        unshot = leaving + self.share * self.scattering.apply(arriving)
         whole = float(self.flux(unshot).sum())
         for _ in range(limit):
             flux = self.flux(unshot)
@@ -192,7 +192,7 @@ class DirectionalTransport:
         return self._order
 
     def _scattered(self, arriving: np.ndarray, first: int, last: int) -> np.ndarray:
-        return self.scattering.apply(arriving[first:last], first=first // 2).reshape(-1, 3)
+        return (self.share[first:last] * self.scattering.apply(arriving[first:last], first=first // 2)).reshape(-1, 3)
 
 
 def x_shape(transport: DirectionalTransport) -> tuple[int, int, int]:

@@ -13,6 +13,7 @@ from ..lights.emitters import Emitters
 from ..receivers.base import Points, Receivers
 from ..scene.world import Surface, World
 from ..walks.gathering import sliced
+from ..walks.sight import seen_at_once
 from .elements import Elements
 from .refinement import RefinedElements, over_base
 
@@ -99,8 +100,7 @@ class ElementAnswer:
         self.emission = min_length == 0
         self.gather = gather if min_length <= 1 <= max_length and not self.identity else None
         # The background is seen by the camera, and lamps with a size in front of it and of surfaces.
-        seen = self.emission and receivers.measure == "radiance"
-        self.emitters = Emitters(elements.world) if seen else None
+        self.emitters = Emitters(elements.world) if receivers.measure == "radiance" else None
         self.rays = 0
         self.ready = 0.0
         self._sites: list[_Sites] = []
@@ -124,36 +124,34 @@ class ElementAnswer:
 
     def _chunk(self, item: tuple[int, Points]) -> tuple[_Sites, list[tuple[int, np.ndarray]], int]:
         index, points = item
-        world = self.elements.world
+        world, radiance = self.elements.world, self.receivers.measure == "radiance"
+        every, rng = points.receiver, np.random.default_rng([*self.seed, 7, index])
+        if radiance:
+            points, factor, emitted = seen_at_once(self.emitters, self.receivers, points, rng, self.emission)
+        else:
+            on = points.triangle >= 0
+            emitted, points = np.zeros((len(on), 3), np.float32), points.take(on)
         rays = points.rays
-        on = points.triangle >= 0
-        triangle, u, v = points.triangle[on], points.u[on], points.v[on]
-        towards = None if points.towards is None else points.towards[on]
-        surface = world.surface(triangle, u, v, towards)
-        albedo, emission = world.albedo(surface), world.emission(surface)
-        element, a, b = self.elements.cell(triangle, u, v)
-        sites = _Sites(points.receiver[on], (2 * element + (surface.side < 0)).astype(np.int32), a, b, albedo)
-
-        radiance = self.receivers.measure == "radiance"
-        emitted = np.zeros((len(on), 3), np.float32)
-        if self.emission:
-            emitted[on] = emission if radiance else np.float32(np.pi) * emission
-            if radiance:
-                emitted[~on] = self.emitters.escaping(-points.towards[~on])
-                distance = np.where(on, points.distance, np.float32(np.inf))
-                emitted += self.emitters.along(points.origin, -points.towards, distance)
-        direct = np.zeros((len(triangle), 3), np.float32)
-        if self.gather is not None and len(triangle):
+        surface = world.surface(points.triangle, points.u, points.v, points.towards)
+        albedo = world.albedo(surface)
+        element, a, b = self.elements.cell(points.triangle, points.u, points.v)
+        if radiance:
+            albedo = albedo * factor
+        elif self.emission:
+            emitted[on] = np.float32(np.pi) * world.emission(surface)
+        sites = _Sites(points.receiver, (2 * element + (surface.side < 0)).astype(np.int32), a, b, albedo)
+        direct = np.zeros((len(points.receiver), 3), np.float32)
+        if self.gather is not None and len(direct):
             # A generator for each chunk, so that neither threads nor order change the result.
-            direct, cast = self.gather(surface, np.random.default_rng([*self.seed, 7, index]))
+            direct, cast = self.gather(surface, rng)
             rays += cast
             if radiance:
                 direct = direct * albedo / np.float32(np.pi)
         sums = [
-            sum_by_receiver(points.receiver, emitted),
+            sum_by_receiver(every, emitted),
             sum_by_receiver(sites.receiver, albedo),
             sum_by_receiver(sites.receiver, direct),
-            sum_by_receiver(points.receiver, np.ones((len(on), 1), np.float32)),
+            sum_by_receiver(every, np.ones((len(every), 1), np.float32)),
         ]
         return sites, sums, rays
 

@@ -6,6 +6,7 @@ Surfaces are two-sided, as in Cycles, so the unknowns of the element methods are
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -19,6 +20,20 @@ from .smooth import Nodes
 MAX_ELEMENTS = 20_000_000  # about 4 GB of element arrays
 COLOR_GRID = 4  # textured colours are averaged over COLOR_GRID^2 points of an element
 SLIVER = 8.0  # a triangle gets at most SLIVER * area / max_edge^2 elements, so that long slivers do not explode
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """The part of element sides that does not let light straight through, with all that the whole reflects and emits.
+
+    Irradiance is the same on it as on the whole, and nothing is lost or counted twice when rays meet it as often as its area asks.
+    area (2 ne,) float64 m2; albedo, emitted (2 ne, 3) float64 as of `Elements`, over the share that is held; share (2 ne,): 1 over it.
+    """
+
+    area: np.ndarray
+    albedo: np.ndarray
+    emitted: np.ndarray
+    share: np.ndarray
 
 
 class Elements:
@@ -171,6 +186,18 @@ class Elements:
         shading = self.world.shading
         self.albedo = self.mean(shading.albedo, shading.albedo_varies)
         self.emitted = np.pi * self.mean(shading.emission, shading.emission_varies)
+        passing = self.world.passing
+        self.stays = None if passing is None else 1 - self.mean(lambda *at: passing.grey(*at)[:, None], True)[:, 0]
+
+    @cached_property
+    def held(self) -> Held:
+        """The sides as rays meet them that pass at random what lets light straight through."""
+        area, albedo, emitted = np.repeat(self.area, 2), np.repeat(self.albedo, 2, axis=0), np.repeat(self.emitted, 2, axis=0)
+        if self.stays is None:
+            return Held(area, albedo, emitted, np.ones(len(area)))
+        stays = np.repeat(self.stays, 2)
+        share = 1 / np.maximum(stays, 1e-9)
+        return Held(area * stays, albedo * share[:, None], emitted * share[:, None], share)
 
     def mean(self, field: Callable, varies: bool) -> np.ndarray:
         """(count, 3) float64 mean of `field(triangle, u, v)`, (n, 3), over each element: of several points where it `varies` inside."""

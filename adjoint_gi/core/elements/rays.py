@@ -10,12 +10,14 @@ from ..base.parallel import in_order
 from ..sampling.additive import STEPS, additive
 from ..sampling.maps import TWO_PI, polar
 from ..scene.arrays import RayKind
+from ..scene.passing import MOST_LAYERS
 from .elements import Elements
 
 RAYS_PER_TASK = 1 << 15  # rays in one piece of work
 
 # Every side and every shot shifts the set by its own vector, itself from an additive sequence.
 BETA = np.sqrt([2.0, 3.0, 5.0, 7.0])
+MIXER = np.uint64(0x9E3779B97F4A7C15)  # odd, of no pattern: the golden ratio (Knuth, volume 3, section 6.4)
 STREAMS = 1 << 24  # shifts of the set; more would not differ in float64
 
 
@@ -63,19 +65,36 @@ class ElementRays:
     def cast(self, side: np.ndarray, number: np.ndarray, stream: np.ndarray) -> np.ndarray:
         """(n,) int64 sides met by rays from `side` (n,), -1 where they escape. `number` and `stream` pick the ray."""
         origin, direction, normal = self.start(side, number, stream)
-        triangle, tu, tv, _ = self.world.intersect(origin, direction, RayKind.DIFFUSE)
-
-        # A ray can slip through exactly at an edge: misses get a second chance a hair beside.
-        missed = np.flatnonzero(triangle < 0)
-        if len(missed):
-            nudged = direction[missed] + np.float32(1e-4) * normal[missed]
-            triangle[missed], tu[missed], tv[missed], _ = self.world.intersect(origin[missed], nudged, RayKind.DIFFUSE)
+        triangle, tu, tv = self.meet(origin, direction, normal)
         hit = np.flatnonzero(triangle >= 0)
         out = np.full(len(side), -1, np.int64)
         met = triangle[hit]
         behind = np.einsum("ij,ij->i", self._normals[met], direction[hit]) > 0
         out[hit] = 2 * self.elements.locate(met, tu[hit], tv[hit]) + behind
         return out
+
+    def meet(self, origin: np.ndarray, direction: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Triangle (n,) int32, -1 where none, and barycentrics u, v (n,) where rays from points with `normal` stay, all (n, 3) float32.
+
+        Where surfaces let light straight through, a ray stays or goes on as a whole: to rays such a surface is the part of itself that
+        `Elements.held` describes.
+        """
+        hit = triangle, u, v, _ = self.world.intersect(origin, direction, RayKind.DIFFUSE)
+        # A ray can slip through exactly at an edge: misses get a second chance a hair beside.
+        missed = np.flatnonzero(triangle < 0)
+        if len(missed):
+            nudged = direction[missed] + np.float32(1e-4) * normal[missed]
+            triangle[missed], u[missed], v[missed], _ = self.world.intersect(origin[missed], nudged, RayKind.DIFFUSE)
+        passing = self.world.passing
+        rows = np.flatnonzero(passing.lets[triangle]) if passing is not None else missed[:0]
+        for layer in range(MOST_LAYERS):
+            if not len(rows):
+                break
+            chance = passing.grey(triangle[rows], u[rows], v[rows])
+            rows = rows[_luck(origin[rows], direction[rows], layer) < chance]
+            self.world.onward(origin, direction, RayKind.DIFFUSE, hit, rows)
+            rows = rows[passing.lets[triangle[rows]]]
+        return triangle, u, v
 
     def rows(self, sides: np.ndarray, rays: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Rays 0..`rays` from each of the sides, over threads, in order: pieces of (sides (m,), sides met (m, rays) int32)."""
@@ -88,3 +107,13 @@ class ElementRays:
             return part, met.reshape(len(part), rays).astype(np.int32)
 
         yield from in_order(work, range(0, len(sides), block))
+
+
+def _luck(origin: np.ndarray, direction: np.ndarray, layer: int) -> np.ndarray:
+    """(n,) float64 in 0..1 that depends on the bits of rays (n, 3) float32 alone: the same rays pass the same surfaces every time."""
+    bits = np.concatenate([origin, direction], axis=1).view(np.uint32).astype(np.uint64)
+    out = np.full(len(bits), layer + 1, np.uint64)
+    for column in bits.T:
+        out = (out ^ column) * MIXER
+        out ^= out >> np.uint64(29)
+    return (out >> np.uint64(11)) * 2.0**-53

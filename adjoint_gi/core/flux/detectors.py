@@ -27,6 +27,7 @@ from ..lights.emission import Emission, Particles
 from ..receivers.base import CameraReceivers, Receivers
 from ..sampling.additive import STEPS, additive
 from ..scene.arrays import RayKind
+from ..scene.passing import MOST_LAYERS
 from ..scene.world import World
 from ..walks.particles import Hits, walk
 
@@ -130,12 +131,24 @@ class CameraDetector(Detector):
             k = np.arange(first, min(first + SAMPLES_PER_BATCH, rows * columns))
             lens = additive(k, STEPS[2])
             o, d = self.rays((k % columns + 0.5) / columns, (k // columns + 0.5) / rows, lens.astype(np.float32))
-            triangle, u, v, t = self.world.intersect(o, d, RayKind.CAMERA)
-            hit = np.flatnonzero((triangle >= 0) & (t <= self.reach(d)))
-            facing = np.where(np.einsum("ij,ij->i", self.world.rows[triangle[hit], 9:12], d[hit]) > 0, -1, 1)
-            side = elements.side(triangle[hit], u[hit], v[hit], facing)
-            total += np.bincount(side, self.share(d[hit]), 2 * elements.count)
+            self._add(total, elements, o, d)
         return total / (rows * columns) / np.pi / np.maximum(np.repeat(elements.area, 2), 1e-300)
+
+    def _add(self, total: np.ndarray, elements: Elements, o: np.ndarray, d: np.ndarray) -> None:
+        """Add to `total` (2 ne,) the share of rays at every side that they see, through what lets light straight through, too."""
+        passing, share = self.world.passing, self.share(d).astype(np.float64)
+        hit = triangle, u, v, t = tuple(np.array(a) for a in self.world.intersect(o, d, RayKind.CAMERA))
+        rows = np.flatnonzero((triangle >= 0) & (t <= self.reach(d)))
+        for _ in range(MOST_LAYERS):
+            at = triangle[rows], u[rows], v[rows]
+            facing = np.where(np.einsum("ij,ij->i", self.world.rows[at[0], 9:12], d[rows]) > 0, -1, 1)
+            total += np.bincount(elements.side(*at, facing), share[rows], len(total))
+            if passing is None or not passing.lets[at[0]].any():
+                return
+            share[rows] *= passing.through(*at).mean(axis=1)
+            rows = rows[share[rows] > 0]
+            self.world.onward(o, d, RayKind.CAMERA, hit, rows)
+            rows = rows[(triangle[rows] >= 0) & (t[rows] <= self.reach(d[rows]))]
 
     def particles(self, n: int, rng: np.random.Generator) -> Particles:
         """`n` particles of importance that leave through the picture; together they weigh the integral of the share, over pi.

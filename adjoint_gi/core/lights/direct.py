@@ -90,7 +90,7 @@ def from_lights(
     start, wi, distance = origin.take(rows, axis=1), s.wi.take(rows, axis=1), s.distance.take(rows)
     if answer.edge is not None:
         answer.edge.take(rows).lift(start, wi, distance)
-    hidden = world.occluded(start.T, wi.T, distance, RayKind.SHADOW)
+    hidden, share = world.shadows(start.T, wi.T, distance)
     if emitters.lamps.count:
         hidden &= s.shadow.take(rows)
     free = np.flatnonzero(~hidden)
@@ -105,6 +105,8 @@ def from_lights(
     radiance = s.radiance.take(rows, axis=1)
     if answer.f is not None:
         radiance *= answer.f.take(rows, axis=1)
+    if share is not None:
+        radiance *= np.where(s.shadow.take(rows), share[free].T, np.float32(1))
     return rows, radiance * factor, cast
 
 
@@ -118,12 +120,14 @@ def from_hits(
     mesh: bool = True,
     emission: Emitted | None = None,
     lamps: np.ndarray | None = None,
+    beyond: np.ndarray | None = None,
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Emission met by rays along `w` (3, n): for each kind of emitter rows (m,) and weighted radiance (3, m).
 
     `pdf` (n,): the density by which rays share emission with light points, as in `Response`: INF for those that take all of it, `LEAST`
     for those that leave it. `hit` is what `World.intersect` returned. `emission` stands in for that of the materials. `lamps` (n,) bool:
-    which of the rays that take all of it meet lamps; None for all.
+    which of the rays that take all of it meet lamps; None for all. `beyond` (n,): of rays that have passed surfaces, the distance up to
+    which their emission has been found already.
     """
     triangle, u, v, t = hit
     if mesh and emitters.any_mesh:
@@ -144,12 +148,13 @@ def from_hits(
     if len(emitters.shared):
         rows = np.flatnonzero((pdf < INF) & (pdf > LEAST))
         o, d = (origin, w) if len(rows) == len(t) else (origin.take(rows, axis=1), w.take(rows, axis=1))
-        yield rows, emitters.lamps_met(o, d, distance.take(rows), pdf.take(rows), mesh)
+        yield rows, emitters.lamps_met(o, d, distance.take(rows), pdf.take(rows), mesh, beyond if beyond is None else beyond.take(rows))
     if len(emitters.sized):
         # Lamps that light points cannot find for these rays, in full.
         rows = np.flatnonzero(pdf == INF if lamps is None else (pdf == INF) & lamps)
         if len(rows):
-            yield rows, emitters.lamps_met(origin.take(rows, axis=1), w.take(rows, axis=1), distance.take(rows))
+            nearer = beyond if beyond is None else beyond.take(rows)
+            yield rows, emitters.lamps_met(origin.take(rows, axis=1), w.take(rows, axis=1), distance.take(rows), beyond=nearer)
 
 
 def direct_irradiance(
@@ -186,7 +191,25 @@ def direct_irradiance(
                 hit = world.intersect(origin.T, w.T, RayKind.DIFFUSE)
                 rays += len(cosine)
                 above = np.where(dot(w, ng) > 0, PI, np.float32(0)) if ns is not ng else np.full(len(cosine), PI)
-                for rows, value in from_hits(emitters, faces, origin, w, hit, np.maximum(cosine / PI, 2 * LEAST), mesh):
+                pdf = np.maximum(cosine / PI, 2 * LEAST)
+                for rows, value in from_hits(emitters, faces, origin, w, hit, pdf, mesh):
                     total[:, rows] += value * above[rows]
+                if world.passing is not None:
+                    for rows, value, cast in _behind(world, emitters, faces, (origin, w, hit, pdf, mesh), above, rng):
+                        total[:, rows] += value
+                        rays += cast
         out[part] = (total / samples).T
     return out, rays
+
+
+def _behind(
+    world: World, emitters: Emitters, faces: Faces, rays: tuple, factor: np.ndarray, rng: np.random.Generator
+) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
+    """What `from_hits` finds, times `factor` (n,), behind surfaces that let the same `rays` straight through; rays cast for it."""
+    origin, w, hit, pdf, mesh = rays
+    hit, weight = tuple(np.array(a) for a in hit), np.broadcast_to(factor, w.shape).copy()
+    for rows, passed in world.pass_on(origin.T, w.T, RayKind.DIFFUSE, hit, weight, rng):
+        some = origin[:, rows], w[:, rows], tuple(a[rows] for a in hit), pdf[rows], mesh
+        for found, value in from_hits(emitters, faces, *some, beyond=passed):
+            yield rows[found], value * weight[:, rows[found]], 0
+        yield rows[:0], np.zeros((3, 0), np.float32), len(rows)

@@ -178,28 +178,42 @@ class Emitters:
         return self.mesh.pdf_w(triangle, w, distance)
 
     def lamps_met(
-        self, o: np.ndarray, w: np.ndarray, distance: np.ndarray, pdf: np.ndarray | None = None, mesh: bool = True, camera: bool = False
+        self,
+        o: np.ndarray,
+        w: np.ndarray,
+        distance: np.ndarray,
+        pdf: np.ndarray | None = None,
+        mesh: bool = True,
+        camera: bool = False,
+        beyond: np.ndarray | None = None,
     ) -> np.ndarray | None:
         """(3, n) radiance of lamps that rays pass through before `distance` (n,), inf where they escape; None without any.
 
         With `pdf` (n,), the density the rays were drawn with: only of the lamps that bounces share with light sampling, each
         weighted by the power heuristic. Without: of all lamps that have a size, or of those that a `camera` sees, unweighted.
+        `beyond` (n,): lamps nearer do not count.
         """
         lamps = self.shared if pdf is not None else self.seen if camera else self.sized
         if not len(lamps):
             return None
         out = np.zeros_like(w)
         pick = self._table(mesh, True).pick[len(self.triangles) if mesh else 0 :]
+        nearer = {} if beyond is None else {i: seen.rows for i, seen in self.lamps.seen(o, w, beyond, lamps)}
         for i, seen in self.lamps.seen(o, w, distance, lamps):
             radiance = seen.radiance
+            if i in nearer:
+                radiance = radiance * ~np.isin(seen.rows, nearer[i])
             if pdf is not None:
                 radiance = radiance * sampling.power_heuristic(pdf[seen.rows], pick[i] * seen.pdf_w)
             out[:, seen.rows] += radiance
         return out
 
-    def along(self, origin: np.ndarray, direction: np.ndarray, distance: np.ndarray) -> np.ndarray:
-        """(n, 3) float32 radiance of the lamps that camera rays pass before `distance`; inf where the ray escapes. Costs rays x lamps."""
-        out = self.lamps_met(columns(origin), columns(direction), distance, camera=True)
+    def along(self, origin: np.ndarray, direction: np.ndarray, distance: np.ndarray, beyond: np.ndarray | None = None) -> np.ndarray:
+        """(n, 3) float32 radiance of the lamps that camera rays pass before `distance`; inf where the ray escapes. Costs rays x lamps.
+
+        `beyond` (n,): lamps nearer do not count.
+        """
+        out = self.lamps_met(columns(origin), columns(direction), distance, camera=True, beyond=beyond)
         return np.zeros((len(origin), 3), np.float32) if out is None else out.T
 
 

@@ -13,7 +13,6 @@ from ..bsdf import table as bsdf
 from ..bsdf.lobes import HIGHLIGHT
 from ..sampling.additive import STEPS, additive
 from ..sampling.maps import dot_rows
-from ..scene.arrays import RayKind
 from ..scene.world import Surface, World
 from .emitters import Emitters
 
@@ -68,8 +67,11 @@ class LightPoints:
                 start, way, distance = p.take(lit, axis=1), s.wi.take(lit, axis=1), s.distance[lit]
                 if edge is not None:
                     edge.take(lit).lift(start, way, distance)
-                hidden = world.occluded(np.ascontiguousarray(start.T), np.ascontiguousarray(way.T), distance, RayKind.SHADOW)
+                hidden, share = world.shadows(np.ascontiguousarray(start.T), np.ascontiguousarray(way.T), distance)
                 weight[lit[hidden & s.shadow[lit]]] = 0
+                if share is not None:
+                    radiance = radiance.copy()
+                    radiance[lit] *= np.where(s.shadow[lit, None], share, np.float32(1))
                 cast = len(lit)
             yield wi, cosine, radiance, weight.astype(np.float32), cast
 

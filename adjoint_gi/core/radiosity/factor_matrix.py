@@ -84,7 +84,7 @@ class FactorMatrix:
 
     def build(self, rho: np.ndarray) -> Iterator[float]:
         """Fill the matrix; yields the share done. Afterwards `transport` and `report` are there. `rho` (n, 3) of `sides`."""
-        n, area = len(self.sides), self.elements.area[self.sides >> 1]
+        n, area = len(self.sides), self.elements.held.area[self.sides]
         factors, sky, mask = np.empty((n, n)), np.zeros(n), np.zeros((n, n), bool)
         # 1. Rays everywhere, closed forms for pairs that see each other freely.
         yield from self._cast_rows(factors, sky)

@@ -60,7 +60,7 @@ class PotentialSystem:
             yield 0.5 * known / (2 * self.elements.count), f"Rays from {known:,} element sides"
         self.sides = matrix.sides
         if len(self.sides):
-            for share in matrix.build(self.elements.albedo[self.sides >> 1]):
+            for share in matrix.build(self.elements.held.albedo[self.sides]):
                 yield 0.5 + 0.5 * share, f"Form factors of {len(self.sides):,} element sides"
             self.transport, self.rays = matrix.transport, matrix.report.rays
 
@@ -73,7 +73,7 @@ class PotentialSystem:
             targets.append(met.ravel())
             yield (int(part[-1]) + 1) / total, "Rays between elements"
         self.rays = total * self.per_side
-        area, rho = np.repeat(self.elements.area, 2), np.repeat(self.elements.albedo, 2, axis=0)
+        area, rho = self.elements.held.area, self.elements.held.albedo
         target = np.concatenate(targets).astype(np.int64)
         self.transport = RayTransport(area, rho, np.repeat(self.sides, self.per_side), target)
 
@@ -81,7 +81,7 @@ class PotentialSystem:
 
     def _jacobi(self) -> Iterator[float]:
         """W = g + T* g + T*^2 g + ...: term k is the potential by k reflections. Yields the last term's share of all."""
-        area = np.repeat(self.elements.area, 2)[self.sides, None]
+        area = self.elements.held.area[self.sides, None]
         term = self.g[self.sides]
         total = term.copy()
         for length in range(1, self.high + 1):
@@ -97,7 +97,7 @@ class PotentialSystem:
         """The sides with the most unshot potential shoot what they reflect of it. Yields the share that is unshot."""
         g = self.g[self.sides]
         state = DiffuseShooting(self.transport, self.transport.rho * g, np.zeros_like(g), self.low, self.high)
-        whole = float((np.repeat(self.elements.area, 2)[self.sides, None] * g).sum())
+        whole = float((self.elements.held.area[self.sides, None] * g).sum())
         grouping = Grouping(1, 1 << 62, GROUP, fewest=self.per_side, most=self.per_side)
         for left in Southwell(state, grouping, 0.0, whole=whole).run():
             self.parts[1][self.sides], self.parts[2][self.sides] = state.direct, state.indirect

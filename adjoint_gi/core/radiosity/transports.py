@@ -93,7 +93,7 @@ class RayTransport(Transport):
         sides = np.arange(2 * e.count) if sides is None else sides
         pieces = [met.ravel() for _, met in rays.rows(sides, per_side)]
         target = np.concatenate(pieces).astype(np.int64) if pieces else np.zeros(0, np.int64)
-        return cls(np.repeat(e.area, 2), np.repeat(e.albedo, 2, axis=0), np.repeat(sides, per_side), target)
+        return cls(e.held.area, e.held.albedo, np.repeat(sides, per_side), target)
 
     def _sum(self, to: np.ndarray, values: np.ndarray) -> np.ndarray:
         n = len(self.area)
@@ -132,8 +132,7 @@ class FreshRayTransport(Transport):
         e = rays.elements
         self.rays = rays
         self.rng = rng
-        self.area = np.repeat(e.area, 2)
-        self.rho = np.repeat(e.albedo, 2, axis=0)
+        self.area, self.rho = e.held.area, e.held.albedo
         self.count = 0  # rays cast so far
         self._used = np.zeros(2 * e.count, np.int64)  # points of its set that a side has used up
 

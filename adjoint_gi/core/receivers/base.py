@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -31,6 +31,11 @@ class Points:
     origin: np.ndarray | None = None
     distance: np.ndarray | None = None
     rays: int = 0
+
+    def take(self, which: np.ndarray) -> Points:
+        """Some of the points."""
+        parts = {f.name: getattr(self, f.name) for f in fields(self)}
+        return Points(**{name: x[which] if isinstance(x, np.ndarray) else x for name, x in parts.items()})
 
 
 class Receivers:
@@ -137,9 +142,19 @@ class CameraReceivers(Receivers):
         sharp = lens is None or self.camera.aperture_radius <= 0
         origin, direction = self.rays(receiver, dx, dy) if sharp else self.lens_rays(receiver, dx, dy, lens)
         triangle, u, v, t = self.world.intersect(origin, direction, RayKind.CAMERA)
+        return Points(receiver, self._clipped(triangle, t, direction), u, v, -direction, origin, t, len(receiver))
+
+    def _clipped(self, triangle: np.ndarray, t: np.ndarray, direction: np.ndarray) -> np.ndarray:
         beyond = t * np.abs(direction @ np.asarray(self.camera.forward, np.float32)) > self.camera.clip_end - self.camera.clip_start
-        triangle = np.where(beyond, np.int32(-1), triangle)
-        return Points(receiver, triangle, u, v, -direction, origin, t, len(receiver))
+        return np.where(beyond, np.int32(-1), triangle)
+
+    def onward(self, points: Points, rows: np.ndarray) -> Points:
+        """`points` with those in `rows` (m,) replaced by what their rays meet behind the surfaces that they have hit."""
+        hit = tuple(np.array(a) for a in (points.triangle, points.u, points.v, points.distance))
+        self.world.onward(points.origin, -points.towards, RayKind.CAMERA, hit, rows)
+        triangle = hit[0]
+        triangle[rows] = self._clipped(triangle[rows], hit[3][rows], -points.towards[rows])
+        return replace(points, triangle=triangle, u=hit[1], v=hit[2], distance=hit[3])
 
     def sample(
         self, receiver: np.ndarray, rng: np.random.Generator, uniform: np.ndarray | None = None, lens: np.ndarray | None = None

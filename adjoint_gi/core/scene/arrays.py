@@ -146,6 +146,9 @@ class Lobe:
         return any(isinstance(x, Color) and not x.is_constant for x in (self.roughness, self.ior))
 
 
+STRAIGHT = "transparent"  # the kind of lobe that lets light straight through
+
+
 @dataclass(frozen=True)
 class Material:
     """A surface: the sum of its lobes. Emission is radiance in W m-2 sr-1 from both sides."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..base.errors import Notice
-from .arrays import Color, Material, Scalar, SceneArrays, Source, constant_of
+from .arrays import STRAIGHT, Color, Material, Scalar, SceneArrays, Source, constant_of
 from .substitutes import as_diffuse
 from .texture import sample_texture
 
@@ -49,7 +49,7 @@ class Shading:
         out = []
         for index in np.unique(self._material):
             material: Material = self.scene.materials[index]
-            other = sorted({x.kind for x in material.lobes if not x.is_black} - lobes - {"emission", "diffuse"})
+            other = sorted({x.kind for x in material.lobes if not x.is_black} - lobes - {"emission", "diffuse", STRAIGHT})
             if other:
                 reason = f"{', '.join(other)} taken as diffuse by this method"
                 out.append(Notice(f"Material {material.name}", reason, "Choose a method that handles it, or accept the substitute"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from embreex.rtcore_scene import EmbreeScene
 from ..sampling.maps import ONE, columns
 from .arrays import RayKind, SceneArrays
 from .normals import shading_normals
+from .passing import MOST_LAYERS, Passing
 from .precision import STEP, clearance, near_box
 from .shading import Shading
 from .terminator import Edge, Terminator
@@ -51,6 +53,7 @@ class World:
     offset      (nt,) float32 how far rays start off each triangle, metres. Embree's `tnear` is fixed at 0 in embreex, so it is the only
                 guard against hitting the surface just left
     area        (nt,) float64 triangle areas
+    passing     what lets light straight through, None where nothing does
     """
 
     def __init__(self, scene: SceneArrays) -> None:
@@ -86,6 +89,7 @@ class World:
             self._embree.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
         self.shading = Shading(scene)
         self._meets = self._visibility()
+        self.passing = Passing.of(scene)
 
     @property
     def triangle_count(self) -> int:
@@ -120,16 +124,76 @@ class World:
 
     def _past_invisible(self, origin: np.ndarray, direction: np.ndarray, kind: np.uint8 | np.ndarray, hit: tuple) -> tuple:
         """`hit` with rays that hit what their kind does not meet followed on from its other side: the one place of ray visibility."""
-        triangle, u, v, t = (np.array(a) for a in hit)
-        kind = np.broadcast_to(kind, len(triangle))
-        rows = np.flatnonzero(self._meets[triangle] & kind == 0)
+        hit = tuple(np.array(a) for a in hit)
+        kind = np.broadcast_to(kind, len(hit[0]))
+        rows = np.flatnonzero(self._meets[hit[0]] & kind == 0)
         while len(rows):
-            d = direction[rows]
-            start = self.leave(self.surface(triangle[rows], u[rows], v[rows], -d), np.ones(len(rows), bool))
-            triangle[rows], u[rows], v[rows], t[rows] = self._nearest(start, d)
-            t[rows] += np.einsum("ij,ij->i", start - origin[rows], d) / np.einsum("ij,ij->i", d, d)
-            rows = rows[self._meets[triangle[rows]] & kind[rows] == 0]
-        return triangle, u, v, t
+            self._behind(origin, direction, hit, rows, self._nearest)
+            rows = rows[self._meets[hit[0][rows]] & kind[rows] == 0]
+        return hit
+
+    def onward(self, origin: np.ndarray, direction: np.ndarray, kind: np.uint8 | np.ndarray, hit: tuple, rows: np.ndarray) -> None:
+        """Replace `hit`, writable arrays as from `intersect`, in `rows` (m,) by what those rays meet next, behind what they have hit.
+
+        The distance still counts from `origin`.
+        """
+        kind = kind if np.ndim(kind) == 0 else kind[rows]
+        self._behind(origin, direction, hit, rows, lambda o, d: self.intersect(o, d, kind))
+
+    def pass_on(
+        self,
+        origin: np.ndarray,
+        direction: np.ndarray,
+        kind: np.uint8 | np.ndarray,
+        hit: tuple,
+        weight: np.ndarray,
+        rng: np.random.Generator,
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Decide at random where rays stay that have met surfaces which let light straight through, surface by surface.
+
+        `hit`, writable as for `onward`, becomes where they stay, and `weight` (3, n) takes what they carry. Yields after every surface the
+        rows (m,) of the rays that have gone on and the distance (m,) of what they have passed.
+        """
+        if self.passing is None:
+            return
+        rows = np.flatnonzero(self.passing.lets[hit[0]])
+        for _ in range(MOST_LAYERS):
+            if not len(rows):
+                return
+            go, factor = self.passing.draw(*(a[rows] for a in hit[:3]), rng)
+            weight[:, rows] *= factor.T
+            rows = rows[go]
+            passed = hit[3][rows]
+            self.onward(origin, direction, kind, hit, rows)
+            yield rows, passed
+            rows = rows[self.passing.lets[hit[0][rows]]]
+
+    def _behind(self, origin: np.ndarray, direction: np.ndarray, hit: tuple, rows: np.ndarray, query: Callable) -> None:
+        triangle, u, v, t = hit
+        d = np.ascontiguousarray(direction[rows])
+        start = self.leave(self.surface(triangle[rows], u[rows], v[rows], -d), np.ones(len(rows), bool))
+        triangle[rows], u[rows], v[rows], t[rows] = query(start, d)
+        t[rows] += np.einsum("ij,ij->i", start - origin[rows], d) / np.einsum("ij,ij->i", d, d)
+
+    def shadows(
+        self, origin: np.ndarray, direction: np.ndarray, distance: np.ndarray, kind: np.uint8 = RayKind.SHADOW
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """What shadow rays find before `distance` (n,) float32: (n,) bool whether all light is held back, and the share (n, 3) float32 that
+        comes straight through the surfaces in between; None where nothing in the scene lets light through."""
+        if self.passing is None:
+            return self.occluded(origin, direction, distance, kind), None
+        share = np.ones((len(origin), 3), np.float32)
+        hit = tuple(np.array(a) for a in self.intersect(origin, direction, kind))
+        rows = np.flatnonzero(hit[3] < distance)
+        for _ in range(MOST_LAYERS):
+            share[rows] *= self.passing.through(*(a[rows] for a in hit[:3]))
+            rows = rows[share[rows].max(axis=1) > 0]
+            if not len(rows):
+                break
+            self.onward(origin, direction, kind, hit, rows)
+            rows = rows[hit[3][rows] < distance[rows]]
+        share[rows] = 0
+        return share.max(axis=1) <= 0, share
 
     def _nearest(self, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """As `intersect`, among all triangles."""

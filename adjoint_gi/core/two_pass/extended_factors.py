@@ -102,6 +102,8 @@ class ExtendedShots(FreshRayTransport):
     def __init__(self, rays: ElementRays, chains: Chains) -> None:
         super().__init__(rays)
         self.chains = chains
+        # Chains give their light to every surface that they pass, so sides are met as a whole.
+        self.area = np.repeat(rays.elements.area, 2)
         self.rho = diffuse_rho(rays, chains)
 
     def shoot(self, index: np.ndarray, radiosity: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

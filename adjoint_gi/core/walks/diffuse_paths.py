@@ -21,6 +21,7 @@ from ..scene.arrays import RayKind
 from ..scene.terminator import Edge
 from .gathering import Sums
 from .paths import Gathered, Paths, Ray, Walk
+from .sight import see
 
 ONE = np.float32(1)
 SITE, VERTEX = 2, 5  # low-discrepancy dimensions for the place on the receiver, and for each of the first vertices
@@ -113,8 +114,11 @@ class PathTracer:
         place = {"uniform": numbers[:SITE]} if self.receivers.takes_uniform else {}
         points = self.receivers.sample(ids, rng, **place)
         lit = np.zeros((2, 3, len(ids)), np.float32)  # direct, indirect
-        camera = self.receivers.measure == "radiance"
-        emitted = np.zeros((3, len(ids)), np.float32) if camera else None
+        camera, emitted, rays, seen = self.receivers.measure == "radiance", None, points.rays, None
+        if camera:
+            sight = see(self.emitters, self.receivers, points, rng, self.walk.min_length == 0)
+            points, seen = sight.layers[0].points, sight.layers[0].weight
+            emitted, rays = columns(sight.emitted), sight.rays
         albedo = np.zeros((3, len(ids)), np.float32) if camera else None
 
         # Step 1: the first vertex. Irradiance is pi times the mean radiance over the cosine; radiance has the albedo over pi in front.
@@ -126,9 +130,10 @@ class PathTracer:
         position = self.faces.positions(triangle, u, v)
         ng, ns = self.faces.normals(triangle, u, v, arriving)
         if camera:
-            albedo[:, rows] = throughput = self.faces.albedo_at(triangle, u, v)
-            if self.walk.min_length == 0:
-                self._see(points, rows, triangle, u, v, emitted)
+            throughput = self.faces.albedo_at(triangle, u, v)
+            if seen is not None:
+                throughput = throughput * seen[rows].T
+            albedo[:, rows] = throughput
             scale = ONE
         else:
             throughput = np.full(position.shape, PI)
@@ -138,7 +143,7 @@ class PathTracer:
         vertices = DiffuseVertices(self.walk, origin, ng, ns, later.at(triangle, rng), later, edge)
         found = self.trace(Paths(self.walk, vertices, rng, weight=throughput, unit=scale))
         lit[0][:, rows], lit[1][:, rows] = found.direct.T, found.indirect.T
-        rays = points.rays + found.rays
+        rays += found.rays
 
         # Step 2: sum over the samples of each receiver; nothing that is not a number may get out.
         spoiled = 0
@@ -149,13 +154,3 @@ class PathTracer:
         parts = [a if a is None else a.reshape(3, -1, samples).sum(axis=2).T for a in (lit[0], lit[1], emitted, albedo)]
         tail = None if found.tail is None else np.where(np.isfinite(found.tail), found.tail, 0).sum(axis=1, dtype=np.float64)
         return Sums(first, last, samples, *parts, rays, spoiled, tail=tail)
-
-    def _see(
-        self, points: object, rows: np.ndarray | slice, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, emitted: np.ndarray
-    ) -> None:
-        """Emission that camera rays see without any bounce: surfaces, the background, and lamps in front of them."""
-        escaped = points.triangle < 0
-        emitted[:, escaped] = self.emitters.escaping(-points.towards[escaped]).T
-        emitted[:, rows] = self.faces.emission_at(triangle, u, v)
-        distance = np.where(escaped, np.float32(np.inf), points.distance).astype(np.float32)
-        emitted += self.emitters.along(points.origin, -points.towards, distance).T

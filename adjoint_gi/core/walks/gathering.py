@@ -26,13 +26,14 @@ from ..receivers.film import Film, read_surfaces
 from ..scene.world import Surface, World
 from . import path_limit
 from .paths import Gathered
+from .sight import SightLayer, see
 
 SAMPLES_PER_BATCH = 1 << 14  # samples in a batch
 MOST_SAMPLES = 16  # of one receiver in a batch
 
 Estimate = Callable[[Surface, np.ndarray | None, np.random.Generator], Gathered]
-# Draws the points of samples (receiver (n,), number of the sample (n,)) and gives the estimate of just these points.
-Place = Callable[[np.ndarray, np.ndarray, np.random.Generator], tuple[Points, Estimate]]
+# Draws the points of samples (receiver (n,), number of the sample (n,)) and gives the estimate of the surfaces of those rows (m,) of them.
+Place = Callable[[np.ndarray, np.ndarray, np.random.Generator], tuple[Points, Callable[[np.ndarray], Estimate]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +111,7 @@ class Run:
             generator = np.random.Generator(np.random.SFC64([*seed, first, index]))
             owner = np.repeat(np.arange(first, last), many)
             if place is None:
-                points, here = self.receivers.sample(owner, generator), estimate
+                points, here = self.receivers.sample(owner, generator), lambda rows: estimate
             else:
                 points, here = place(owner, np.tile(np.arange(index, index + many), last - first), generator)
             return self._evaluate(points, first, last, many, here, generator)
@@ -148,7 +149,7 @@ class Run:
             generator = np.random.default_rng([*seed, 11, index])
             first, last = int(points.receiver.min()), int(points.receiver.max()) + 1
             many = np.bincount(points.receiver - first, minlength=last - first)
-            return self._evaluate(points, first, last, many, estimate, generator)
+            return self._evaluate(points, first, last, many, lambda rows: estimate, generator, split=True)
 
         yield from self._rest(self._reading(not self.is_camera), 0.0)
         with closing(in_order(work, enumerate(sliced(self.receivers.sites(), batch)))) as results:
@@ -196,33 +197,48 @@ class Run:
                 yield from self.clock.pause(Step(fraction, f"Reading surfaces, {done:.0%}", self.solution))
 
     def _evaluate(
-        self, points: Points, first: int, last: int, many: int | np.ndarray, estimate: Estimate, rng: np.random.Generator
+        self,
+        points: Points,
+        first: int,
+        last: int,
+        many: int | np.ndarray,
+        bind: Callable[[np.ndarray], Estimate],
+        rng: np.random.Generator,
+        split: bool = False,
     ) -> Sums:
-        """Sums over the receivers `first` to `last` with `many` samples each."""
-        on = np.flatnonzero(points.triangle >= 0)
-        towards = None if points.towards is None else points.towards[on]
-        surface = self.world.surface(points.triangle[on], points.u[on], points.v[on], towards)
-        found = estimate(surface, towards if self.is_camera else None, rng) if len(on) else Gathered(np.zeros((0, 3)), np.zeros((0, 3)), 0)
-        owner = points.receiver - first
-
-        def total(values: np.ndarray, at: np.ndarray) -> np.ndarray:
-            return np.stack([np.bincount(at, values[:, c], last - first) for c in range(3)], axis=1)
-
-        direct, indirect = (np.where(np.isfinite(x), x, 0) for x in (found.direct, found.indirect))
-        sums = [total(direct, owner[on]), total(indirect, owner[on])]
+        """Sums over the receivers `first` to `last` with `many` samples each; `split`: camera rays that surfaces let pass stay, too."""
+        owner, rays = points.receiver - first, points.rays
+        layers, emitted = [SightLayer(np.arange(len(owner)), points, None)], None
         if self.is_camera:
-            emitted = np.zeros((len(owner), 3), np.float32)
-            if self.settings.min_length == 0:
-                emitted[points.triangle < 0] = self.emitters.escaping(-points.towards[points.triangle < 0])
-                emitted[on] = self.world.emission(surface)
-                distance = np.where(points.triangle < 0, np.float32(np.inf), points.distance)
-                emitted += self.emitters.along(points.origin, -points.towards, distance)
-            sums += [total(emitted, owner), total(self.world.albedo(surface), owner[on])]
-        else:
-            sums += [None, None]
-        spread = None if found.spread is None else total(np.where(np.isfinite(found.spread), found.spread, 0), owner[on])
-        tail = None if found.tail is None else np.where(np.isfinite(found.tail), found.tail, 0).sum(axis=1, dtype=np.float64)
-        return Sums(first, last, many, *sums, points.rays + found.rays, spread=spread, tail=tail)
+            sight = see(self.emitters, self.receivers, points, rng, self.settings.min_length == 0, split)
+            layers, emitted, rays = sight.layers, sight.emitted, sight.rays
+        direct, indirect, albedo, spread = np.zeros((4, len(owner), 3), np.float32)
+        spreads, tail = False, None
+        for layer in layers:
+            at = np.flatnonzero(layer.points.triangle >= 0)
+            if not len(at):
+                continue
+            there, rows = layer.points.take(at), layer.rows[at]
+            surface = self.world.surface(there.triangle, there.u, there.v, there.towards)
+            found = bind(rows)(surface, there.towards if self.is_camera else None, rng)
+            weight = np.float32(1) if layer.weight is None else layer.weight[at]
+            direct[rows] += weight * np.where(np.isfinite(found.direct), found.direct, 0)
+            indirect[rows] += weight * np.where(np.isfinite(found.indirect), found.indirect, 0)
+            if self.is_camera:
+                albedo[rows] += weight * self.world.albedo(surface)
+            if found.spread is not None:
+                spread[rows] += weight * np.where(np.isfinite(found.spread), found.spread, 0)
+                spreads = True
+            if found.tail is not None:
+                left = np.where(np.isfinite(found.tail), found.tail, 0) * (1 if layer.weight is None else weight.mean(axis=1))
+                tail = left.sum(axis=1, dtype=np.float64) + (0 if tail is None else tail)
+            rays += found.rays
+
+        def total(values: np.ndarray) -> np.ndarray:
+            return np.stack([np.bincount(owner, values[:, c], last - first) for c in range(3)], axis=1)
+
+        seen = [total(emitted), total(albedo)] if self.is_camera else [None, None]
+        return Sums(first, last, many, total(direct), total(indirect), *seen, rays, spread=total(spread) if spreads else None, tail=tail)
 
     def _add(self, sums: Sums) -> None:
         part = slice(sums.first, sums.last)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..bsdf import table as bsdf
 from ..bsdf.lobes import FIRST_PASS_LOBES, SHINY
+from ..scene.arrays import STRAIGHT
 from ..scene.world import Surface, World
 from .paths import russian_roulette
 from .radiance import leaving
@@ -60,7 +61,7 @@ class Chains:
         self.table = bsdf.BsdfTable(world.scene, FIRST_PASS_LOBES)
         self.depth = depth
         self.rough = rough
-        shiny = [any(x.kind in SHINY and not x.is_black for x in m.lobes) for m in world.scene.materials]
+        shiny = [any(x.kind in SHINY and x.kind != STRAIGHT and not x.is_black for x in m.lobes) for m in world.scene.materials]
         self.shiny = np.array(shiny or [False])[np.asarray(world.scene.material, np.int64)]
         self.any = bool(self.shiny.any())
         self.albedo_varies = bool(self.table.diffuse.varying)
@@ -89,6 +90,8 @@ class Chains:
             row, at, on = segment.row, segment.arrived, segment.scattered
             sent = np.zeros_like(at.weight)
             sent[on.rows] = on.flight.weight
+            if segment.passed is not None:
+                sent += segment.passed
             share = self.share(at.surface, -at.direction)
             yield Met(at.segments, row, at.surface, at.weight, share, sent, clear[row], segment.away, segment.lost)
             if at.segments == 1:
@@ -96,7 +99,10 @@ class Chains:
 
     def _scatter(self, at: Arrived, rng: np.random.Generator) -> Mirrored:
         """One ray by the lobes that are not diffuse, from the surfaces that have any."""
-        rows = np.flatnonzero(self.shiny[at.surface.triangle]) if at.segments <= self.depth else np.zeros(0, np.int64)
+        able = self.shiny[at.surface.triangle] & (at.segments <= self.depth)
+        if at.stay is not None:
+            able &= at.stay > 0
+        rows = np.flatnonzero(able)
         surface = at.surface.take(rows)
         lobes = self.table.at(surface.triangle, surface.u, surface.v, surface.ns, surface.side, -at.direction[rows])
         lobes = lobes.without_diffuse(np.ones(len(rows), bool))
@@ -105,6 +111,8 @@ class Chains:
         drawn = bsdf.sample(lobes, rng)
         go = leaving(surface, drawn)
         weight = at.weight[rows[go]] * drawn.weight[go]
+        if at.stay is not None:
+            weight *= at.stay[rows[go], None]
         if at.segments >= ROULETTE_FROM:
             survive, chance = russian_roulette(weight.max(axis=1), rng.random(len(go), np.float32))
             go, weight = go[survive], weight[survive] / chance[:, None]

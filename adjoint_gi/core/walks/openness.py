@@ -46,18 +46,18 @@ def measure(world: World, particles: int = PARTICLES) -> Openness:
     if emission.is_dark or world.triangle_count == 0:
         return Openness(0.0, *_lost(world, sides))
     rng = np.random.default_rng(0)
-    met = 0
+    met = np.zeros(particles, bool)
 
     def visit(hits: Hits) -> None:
-        nonlocal met
         surface = hits.surface
-        met += len(surface.triangle) if hits.length == 1 else 0
+        met[hits.row] = True
         for k, of_side in enumerate((surface.side > 0, surface.side < 0)):
             sides[k] += np.bincount(surface.triangle[of_side], minlength=world.triangle_count)
 
     ends = walk(world, emission.draw(particles, rng), LENGTH, rng, visit)
-    left = ends.escaped - (ends.emitted - met)
-    return Openness(left / max(1, met), *_lost(world, sides))
+    count = int(np.count_nonzero(met))
+    left = ends.escaped - (ends.emitted - count)
+    return Openness(left / max(1, count), *_lost(world, sides))
 
 
 def _lost(world: World, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

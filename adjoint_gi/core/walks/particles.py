@@ -98,25 +98,30 @@ def walk(
     """
     scatter = Analog(world, table, importance)
     flight = Flight(particles.origin, particles.direction, particles.kind, particles.weight)
-    alive, energy = len(particles.weight), _energy(particles.weight)
-    ends = Ends(emitted=alive, emitted_energy=energy)
-    for segment in shoot(world, flight, longest(max_length), scatter, rng, particles.dark, particles.reach):
+    emitted, energy, most = len(particles.weight), _energy(particles.weight), longest(max_length)
+    ends = Ends(emitted=emitted, emitted_energy=energy)
+    if most < 1:
+        ends.cut, ends.cut_energy = emitted, energy
+    for segment in shoot(world, flight, most, scatter, rng, particles.dark, particles.reach):
         at, out = segment.arrived, segment.scattered
         visit(Hits(at.segments, at.surface, out.arriving, out.leaving, segment.row))
         ends.rays += segment.rays
         ends.escaped += len(segment.away)
-        ends.absorbed += len(segment.row) - len(out.rows)
-        alive, energy = len(out.rows), _energy(out.flight.weight)
+        passed, passing = (0, 0.0) if segment.passed is None else (int(np.count_nonzero(at.stay == 0)), _energy(segment.passed))
+        scattered, energy = len(out.rows), _energy(out.flight.weight)
+        ends.absorbed += len(segment.row) - scattered - passed
         lost = segment.lost
-        if at.segments == 1 and particles.far is not None:
+        if at.segments == 1 and segment.layer == 0 and particles.far is not None:
             # Light from far away that misses the scene is no light of the scene.
             ends.emitted_energy -= _energy(lost[particles.far[segment.away]])
             lost = lost[~particles.far[segment.away]]
         ends.escaped_energy += _energy(lost)
-        ends.absorbed_energy += _energy(at.weight) - energy + out.gained
+        ends.absorbed_energy += _energy(at.weight) - energy - passing + out.gained
         ends.gained += out.gained
         ends.note(at.segments, max_length, _energy(out.arriving))
-    ends.cut, ends.cut_energy = alive, energy
+        if at.segments == most:
+            ends.cut += scattered
+            ends.cut_energy += energy
     return ends
 
 
@@ -147,6 +152,8 @@ class Analog:
             out = _diffuse(self.world, surface, arriving, self.world.albedo(surface), self.importance, rng)
         else:
             out = _sampled(self.world, surface, self.table, at.direction, arriving, self.importance, rng)
+        if at.stay is not None:
+            out.power[...] *= at.stay[:, None]
         # Step 3: absorbed or not. One particle cannot become two, so a share above 1 makes it stronger.
         share = out.power.sum(axis=1) / np.maximum(at.weight.sum(axis=1), np.float32(1e-37))
         alive = np.flatnonzero(rng.random(len(share), np.float32) < share)

@@ -230,12 +230,34 @@ class Paths:
         return True
 
     def emission_met(self, lamps: np.ndarray | None = None) -> None:
-        """Add the emission that the rays meet. `lamps` (n,) bool: which rays by mirrors meet lamps; None for all."""
+        """Add the emission that the rays meet, those that surfaces let straight through on their way to the one where they stay, too.
+
+        `lamps` (n,) bool: which rays by mirrors meet lamps; None for all.
+        """
+        walk, ray = self.walk, self.ray
         if self.counts:
-            walk, ray = self.walk, self.ray
             seen = (ray.origin, ray.wi, self.hit, ray.pdf)
             for rows, value in direct.from_hits(walk.emitters, walk.faces, *seen, emission=walk.emission, lamps=lamps):
                 self.collect(rows, value)
+        if walk.world.passing is not None:
+            self._pass_on(lamps)
+
+    def _pass_on(self, lamps: np.ndarray | None) -> None:
+        """Decide where rays stay. Passing is no event: it leaves the length, the kind, the origin and the density of a ray as they are."""
+        ray = self.ray
+        self.hit, self.weight = tuple(np.array(a) for a in self.hit), np.array(self.weight)
+        for rows, passed in self.walk.world.pass_on(ray.origin.T, ray.wi.T, ray.kind, self.hit, self.weight, self.rng):
+            self.rays += len(rows)
+            if self.counts:
+                self._emission_behind(rows, passed, lamps if lamps is None else lamps[rows])
+
+    def _emission_behind(self, rows: np.ndarray, beyond: np.ndarray, lamps: np.ndarray | None) -> None:
+        """Add the emission that rays `rows` (m,) meet farther away than `beyond` (m,)."""
+        walk, ray = self.walk, self.ray
+        o, w, pdf = ray.origin.take(rows, axis=1), ray.wi.take(rows, axis=1), ray.pdf.take(rows)
+        hit, options = tuple(a.take(rows) for a in self.hit), {"emission": walk.emission, "lamps": lamps, "beyond": beyond}
+        for found, value in direct.from_hits(walk.emitters, walk.faces, o, w, hit, pdf, **options):
+            self.collect(rows[found], value)
 
     def arrive(self) -> None:
         """Go on from the surfaces that were hit, as far as roulette lets paths: dividing by its chance keeps the estimate unbiased."""

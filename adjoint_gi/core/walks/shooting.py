@@ -26,12 +26,16 @@ class Flight:
 
 @dataclass(frozen=True, eq=False)
 class Arrived:
-    """Rays that have met something: where, on the side they came from; direction and weight (n, 3) they arrive with; segments flown."""
+    """Rays that have met something: where, on the side they came from; direction and weight (n, 3) they arrive with; segments flown.
+
+    stay (n,) float32: factor on what is scattered, 0 for rays that go straight on, for which those that stay make up; None for 1.
+    """
 
     surface: Surface
     direction: np.ndarray
     weight: np.ndarray
     segments: int
+    stay: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,14 +48,17 @@ class Departed:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """What one segment came to: row (n,) of the rays that met something, among those that set out; how they arrived, and what goes on;
-    away (k,), lost (k, 3): rows of the rays that escape, and their weight."""
+    """What one segment came to, or a part of it from one surface that lets rays straight through to the next: row (n,) of the rays that
+    met something, among those that set out; how they arrived, and what is scattered; passed (n, 3): the weight that goes straight on, None
+    where nothing does; away (k,), lost (k, 3): rows of the rays that escape, and their weight; layer: surfaces passed before."""
 
     row: np.ndarray
     arrived: Arrived
     scattered: Departed
     away: np.ndarray
     lost: np.ndarray
+    passed: np.ndarray | None = None
+    layer: int = 0
 
     @property
     def rays(self) -> int:
@@ -71,24 +78,54 @@ def shoot(
     dark: np.ndarray | None = None,
     reach: np.ndarray | None = None,
 ) -> Iterator[Segment]:
-    """Fly at most `most` segments. What is met on the first one nearer than `dark` (n,) or farther than `reach` (n,) counts as escaped."""
-    row = np.arange(len(flight.weight))
+    """Fly at most `most` segments. What is met on the first one nearer than `dark` (n,) or farther than `reach` (n,) counts as escaped.
+
+    Surfaces that let rays straight through end no segment: those that pass are yielded again with the same number of segments.
+    """
+    passing, row = world.passing, np.arange(len(flight.weight))
     for segments in range(1, most + 1):
-        if not len(row):
+        dark, reach = (dark, reach) if segments == 1 else (None, None)
+        # What leaves the surfaces on the way of this segment sets out on the next one.
+        rows, flights = [], []
+        flown, layer = np.float32(0), 0
+        while len(row):
+            # Step 1: fly to the nearest surface, or escape.
+            triangle, u, v, t = world.intersect(flight.origin, flight.direction, flight.kind)
+            met = triangle >= 0
+            if dark is not None:
+                met &= flown + t >= dark[row]
+            if reach is not None:
+                met &= flown + t <= reach[row]
+            hit, miss = np.flatnonzero(met), np.flatnonzero(~met)
+            direction, weight = flight.direction[hit], flight.weight[hit]
+            surface = world.surface(triangle[hit], u[hit], v[hit], -direction)
+            # Step 2: what goes straight on.
+            go = stay = passed = None
+            if passing is not None and passing.lets[surface.triangle].any():
+                go, factor = passing.draw(surface.triangle, surface.u, surface.v, rng)
+                stay = np.where(go, np.float32(0), factor[:, 0])
+                passed = np.where(go[:, None], weight * factor, np.float32(0))
+            # Step 3: what is scattered.
+            arrived = Arrived(surface, direction, weight, segments, stay)
+            scattered = scatter(arrived, rng)
+            yield Segment(row[hit], arrived, scattered, row[miss], flight.weight[miss], passed, layer)
+            rows.append(row[hit[scattered.rows]])
+            flights.append(scattered.flight)
+            if go is None:
+                break
+            on = np.flatnonzero(go)
+            flown, layer = (flown + t)[hit[on]], layer + 1
+            kind = flight.kind if np.ndim(flight.kind) == 0 else flight.kind[hit[on]]
+            origin = np.ascontiguousarray(world.leave(surface.take(on), np.ones(len(on), bool)))
+            row, flight = row[hit[on]], Flight(origin, np.ascontiguousarray(direction[on]), kind, passed[on])
+        if not flights:
             return
-        # Step 1: fly to the nearest surface, or escape.
-        triangle, u, v, t = world.intersect(flight.origin, flight.direction, flight.kind)
-        met = triangle >= 0
-        if segments == 1 and dark is not None:
-            met &= t >= dark
-        if segments == 1 and reach is not None:
-            met &= t <= reach
-        hit, miss = np.flatnonzero(met), np.flatnonzero(~met)
-        direction = flight.direction[hit]
-        surface = world.surface(triangle[hit], u[hit], v[hit], -direction)
-        # Step 2: what is scattered there.
-        arrived = Arrived(surface, direction, flight.weight[hit], segments)
-        scattered = scatter(arrived, rng)
-        yield Segment(row[hit], arrived, scattered, row[miss], flight.weight[miss])
-        # Step 3: that flies on.
-        row, flight = row[hit[scattered.rows]], scattered.flight
+        row, flight = rows[0] if len(rows) == 1 else np.concatenate(rows), _joined(flights)
+
+
+def _joined(flights: list[Flight]) -> Flight:
+    if len(flights) == 1:
+        return flights[0]
+    kinds = [np.broadcast_to(f.kind, len(f.weight)) for f in flights]
+    parts = ([f.origin for f in flights], [f.direction for f in flights], kinds, [f.weight for f in flights])
+    return Flight(*(np.concatenate(part) for part in parts))

@@ -1,0 +1,66 @@
+"""Surfaces that let light straight through: Transparent, alone or mixed with others, and what alpha cuts out.
+
+Passing is no scattering: a ray that goes on straight keeps its direction, its kind and its density, and no segment of a path ends there.
+So rays pass such surfaces on their way (`World.shadows`, `World.onward`), and BSDFs know nothing of it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .arrays import STRAIGHT, Color, Material, SceneArrays
+from .shading import ColorField
+
+MOST_GREY = 0.98  # chance at most to pass what scatters or emits, so that its light is not lost
+MOST_LAYERS = 1024  # surfaces that a ray passes; what lies behind more of them is taken as hidden
+
+
+class Passing:
+    """What the triangles of a scene let straight through. lets (nt + 1,) bool: whether any; the last entry is for rays that hit nothing."""
+
+    def __init__(self, scene: SceneArrays) -> None:
+        material = np.asarray(scene.material, np.int64)
+        self._straight = ColorField([m.total(STRAIGHT) for m in scene.materials], scene)
+        self._rest = ColorField([_scattered(m) for m in scene.materials], scene)
+        may = np.array([not m.total(STRAIGHT).is_black for m in scene.materials] or [False])
+        self.lets = np.append(may[material], False)
+        full = [_scattered(m).is_black and m.total("emission").is_black for m in scene.materials]
+        self._most = np.where(full, 1.0, MOST_GREY).astype(np.float32)[material]
+
+    @classmethod
+    def of(cls, scene: SceneArrays) -> Passing | None:
+        """None where nothing lets light straight through, so that it costs nothing."""
+        out = cls(scene)
+        return out if out.lets.any() else None
+
+    def through(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n, 3) float32 share of light that goes straight on at barycentrics of triangles."""
+        return np.maximum(self._straight.at(triangle, u, v), np.float32(0))
+
+    def grey(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n,) float32 chance to pass for rays that carry no colour: the mean share, but less than 1 where surfaces send light."""
+        return np.minimum(self.through(triangle, u, v).mean(axis=1), self._most[triangle])
+
+    def draw(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Whether rays go on, (n,) bool, and the factor (n, 3) float32 on what they carry: over the chance to go on, or to stay.
+
+        The chance is the share of what goes straight on in all that is not absorbed, so clear panes and cut-outs bring no noise.
+        """
+        straight = self.through(triangle, u, v)
+        rest = np.maximum(self._rest.at(triangle, u, v).mean(axis=1), np.float32(0))
+        mean = straight.mean(axis=1)
+        chance = mean / np.maximum(mean + rest, np.float32(1e-20))
+        go = rng.random(len(triangle), np.float32) < chance
+        factor = np.where(go[:, None], straight, np.float32(1)) / np.where(go, chance, 1 - chance)[:, None]
+        return go, factor.astype(np.float32)
+
+
+def tinted(scene: SceneArrays) -> list[str]:
+    """Names of the materials in use whose colour, of what goes straight through, is not grey."""
+    used = [scene.materials[i] for i in np.unique(scene.material)]
+    terms = ((m.name, t) for m in used for t in m.total(STRAIGHT).terms)
+    return sorted({name for name, t in terms if len(set(t.constant)) > 1 or any(not s.alpha for s in t.sources)})
+
+
+def _scattered(material: Material) -> Color:
+    return material.total(*{x.kind for x in material.lobes} - {STRAIGHT, "emission"})

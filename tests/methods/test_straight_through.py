@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light through Transparent, alpha and mixes with them: passing straight is no event, in any method, for any lamp, layer and side."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
+from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, RayKind, Source, Term, Texture
+from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.tests import scenes
+from adjgi.tests.solving import grid, look, quad_points, solve
+
+LAMPS = {
+    "sun": Light("Sun", "sun", (2.0, 2.0, 2.0), angle=0.00918),
+    "sharp sun": Light("Sun", "sun", (2.0, 2.0, 2.0)),
+    "point": Light("Point", "point", (3.0, 3.0, 3.0), position=(0.1, 0, 2.0)),
+    "ball": Light("Ball", "point", (3.0, 3.0, 3.0), position=(0.1, 0, 2.0), radius=0.05),
+    "spot": Light("Spot", "spot", (3.0, 3.0, 3.0), position=(0, 0, 2.0), spot_angle=1.5, spot_blend=0.2),
+    "area": Light("Area", "area", (9.0, 9.0, 9.0), position=(0, 0, 2.0), size_x=0.3, size_y=0.3),
+    "large area": Light("Area", "area", (1.0, 1.0, 1.0), position=(0, 0, 2.0), size_x=2, size_y=2),
+}
+TINT = (0.5, 0.3, 0.1)
+GATHERING = {
+    "path_tracing": {"samples": 64},
+    "distribution": {"samples": 16},
+    "irradiance_cache": {},
+    "whitted": {},
+    "local_illumination": {},
+}
+ELEMENTS = {
+    "matrix_radiosity": {"max_edge": 1.0, "rays": 256},
+    "progressive_radiosity": {"max_edge": 2.0, "rays": 300_000, "light_samples": 16},
+    "stochastic_jacobi": {"max_edge": 1.0, "rays": 300_000, "light_samples": 64},
+    "directional_radiosity": {"max_edge": 1.5, "light_samples": 16},
+    "spherical_harmonics": {"max_edge": 2.0, "rays": 300_000, "light_samples": 16},
+    "two_pass": {"max_edge": 1.0},
+    "multi_pass": {"max_edge": 2.0, "rays": 300_000, "samples": 16},
+}
+PARTICLES = {"particle_tracing": {"particles": 60_000}}
+
+
+def sheet(color, *lobes):
+    return Material("Sheet", (Lobe("transparent", Color.of(*np.broadcast_to(color, 3).astype(float))), *lobes))
+
+
+def under(material, lamp, layers=1, floor=0.0):
+    """A floor of 2 m, its first two triangles, under `layers` large sheets 1 cm apart."""
+    b = SceneBuilder()
+    b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), diffuse("Floor", floor))
+    for i in range(layers):
+        b.quad(f"Sheet {i}", (-3, -3, 1 + 0.01 * i), (6, 0, 0), (0, 6, 0), material)
+    if lamp:
+        b.light(LAMPS[lamp])
+    return b
+
+
+def direct(scene, name, **options):
+    receivers = quad_points(*grid(4))
+    return solve(name, World(scene), receivers, **options)
+
+
+@pytest.mark.parametrize("lamp", LAMPS)
+@pytest.mark.parametrize("name", [*GATHERING, "two_pass"])
+def test_a_tinted_sheet_colours_the_light_of_every_lamp(name, lamp):
+    """Exactly by its colour, as direct light, where nothing else scatters; all of it from the same random numbers."""
+    options = (GATHERING | ELEMENTS)[name]
+    bare, tinted = (direct(under(sheet(TINT), lamp, n).build(), name, **options) for n in (0, 1))
+    both = tinted.direct.mean(axis=0), bare.direct.mean(axis=0) * TINT
+    assert both[0] == pytest.approx(both[1], rel=0.04 if lamp in ("area", "large area") else 0.003)
+    assert bare.direct.min() > 0 and not tinted.indirect.any()
+
+
+@pytest.mark.parametrize("lamp", ["sun", "point", "area"])
+def test_particles_pass_tinted_sheets(lamp):
+    bare, tinted = (direct(under(sheet(TINT), lamp, n).build(), "particle_tracing", particles=400_000) for n in (0, 1))
+    assert tinted.direct.mean(axis=0) == pytest.approx(bare.direct.mean(axis=0) * TINT, rel=0.03)
+    assert not tinted.indirect.any()
+
+
+@pytest.mark.parametrize("name", [*GATHERING, "particle_tracing"])
+def test_ten_sheets_in_a_stack(name):
+    options = (GATHERING | {"particle_tracing": {"particles": 100_000}})[name]
+    bare, stacked = (direct(under(sheet(0.9), "sun", n).build(), name, **options).direct.mean() for n in (0, 10))
+    assert stacked == pytest.approx(0.9**10 * bare, rel=0.03 if name == "particle_tracing" else 1e-3)
+
+
+def test_lamps_that_cast_no_shadow_are_not_tinted():
+    b = under(sheet(TINT), None)
+    b.light(dataclasses.replace(LAMPS["point"], shadow=False))
+    bare = direct(under(sheet(TINT), "point", 0).build(), "path_tracing")
+    assert direct(b.build(), "path_tracing").direct.mean() == pytest.approx(bare.direct.mean(), rel=1e-5)
+
+
+def alpha_image():
+    """A texture of 2 x 2 texels whose alpha cuts out two of them."""
+    pixels = np.ones((2, 2, 4), np.float32)
+    pixels[0, 0, 3] = pixels[1, 1, 3] = 0
+    return Texture("Leaf", pixels, interpolation="Closest")
+
+
+@pytest.mark.parametrize("name", ["path_tracing", "whitted", "local_illumination"])
+def test_an_alpha_image_cuts_holes_into_a_shadow(name):
+    """Two of four quarters of the card are holes: the sun from above lights the floor below these alone, in full."""
+    alpha = Color((Term((1.0, 1.0, 1.0), (Source("image", texture=0, alpha=True),)),))
+    card = Material("Card", (Lobe("transparent", alpha.complement()), Lobe("diffuse", alpha)))
+    b = SceneBuilder()
+    b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), diffuse("Floor", 0.0))
+    b.quad("Card", (-1, -1, 1), (2, 0, 0), (0, 2, 0), card)
+    b.light(LAMPS["sharp sun"])
+    scene = dataclasses.replace(b.build(), textures=(alpha_image(),))
+    found = direct(scene, name, **({"samples": 4} if name == "path_tracing" else {})).direct[:, 0].reshape(4, 4)
+    assert found == pytest.approx(np.kron([[2.0, 0.0], [0.0, 2.0]], np.ones((2, 2))), abs=1e-5)
+
+
+def furnace(share, tint=(1.0, 1.0, 1.0)):
+    """A closed room of radiance 1 everywhere, with cards in it that pass `share`, reflect 0.3 of the rest and emit what is lost."""
+    b = SceneBuilder()
+    b.box("Room", (-2, -2, 0), (2, 2, 3), diffuse("Wall", 0.5, 0.5), inward=True)
+    rest = np.array([1 - share * t for t in tint])
+    card = sheet(share * np.array(tint), Lobe("diffuse", Color.of(*(0.3 * rest))), Lobe("emission", Color.of(*(0.7 * rest))))
+    for i in range(3):
+        b.quad(f"Card {i}", (-1.2, -1.2, 0.8 + 0.5 * i), (2.4, 0, 0.1), (0, 2.4, 0.2), card)
+    return b.build()
+
+
+@pytest.mark.parametrize("share", [0.3, 0.8])
+@pytest.mark.parametrize("name", [*(GATHERING.keys() - {"whitted", "local_illumination"}), *ELEMENTS, *PARTICLES])
+def test_cards_in_a_furnace_are_invisible(name, share):
+    """Emission mixed with Transparent, both sides, several layers: radiance 1 everywhere, so pi on the floor and on the cards."""
+    scene = furnace(share)
+    u, v = grid(3)
+    for first in (8, 14):
+        receivers = quad_points(0.2 + 0.6 * u, 0.2 + 0.6 * v, first=first)
+        options = (GATHERING | ELEMENTS | PARTICLES)[name] | ({"samples": 256} if name in ("path_tracing", "distribution") else {})
+        found = solve(name, World(scene), receivers, **options).quantity("irradiance").mean()
+        assert found == pytest.approx(np.pi, rel=0.03), first
+
+
+@pytest.mark.parametrize("options", [{}, {"joined": False}, {"light_importance": False}, {"lobe_importance": False}, {"roulette": False}])
+def test_no_light_is_counted_twice_however_paths_find_it(options):
+    """A large lamp and an emitting panel behind leaves that also reflect: every mix of techniques has the same mean."""
+    b = under(sheet(0.4, Lobe("diffuse", Color.of(0.3))), "large area", 3, floor=0.5)
+    b.quad("Panel", (-0.5, -0.5, 1.6), (0, 1, 0), (1, 0, 0), diffuse("Panel", 0.0, 2.0))
+    world, receivers = World(b.build()), quad_points(*grid(4))
+    reference = solve("path_tracing", world, receivers, samples=512).quantity("irradiance").mean()
+    runs = [solve("path_tracing", world, receivers, seed=s, samples=64, **options).quantity("irradiance").mean() for s in range(6)]
+    error = np.std(runs, ddof=1) / np.sqrt(len(runs))
+    assert error < 0.08 * reference
+    assert abs(np.mean(runs) - reference) < 4 * error + 0.02 * reference
+
+
+@pytest.mark.parametrize("name", ["path_tracing", "distribution", "whitted", "local_illumination", "irradiance_cache", "matrix_radiosity"])
+def test_cameras_see_through_sheets(name):
+    """A panel of radiance 2 behind three tinted sheets, one of which glows: 2 t^3 + 0.4 t^2, whatever method looks."""
+    b = SceneBuilder()
+    t = np.array((0.9, 0.6, 0.3))
+    b.quad("Panel", (-9, 3, -9), (18, 0, 0), (0, 0, 18), diffuse("Panel", 0.0, 2.0))
+    for i in range(3):
+        lobes = (Lobe("emission", Color.of(0.4)),) if i == 2 else ()
+        b.quad(f"Sheet {i}", (-9, 1 + 0.1 * i, -9), (18, 0, 0), (0, 0, 18), sheet(t, *lobes))
+    b.camera = look((0, 0, 0), (0, 1, 0), size=4)
+    world = World(b.build())
+    options = {"max_edge": 6.0} if name == "matrix_radiosity" else {}
+    found = solve(name, world, CameraReceivers(world), **options)
+    assert found.emitted == pytest.approx(np.tile(2 * t**3 + 0.4 * t**2, (16, 1)), rel=1e-4)
+    assert np.abs(found.quantity("radiance") - found.emitted).max() < 1e-5
+
+
+def test_rays_keep_their_kind_behind_a_sheet():
+    """An object that only diffuse rays meet is seen behind a sheet by those, and one that only rays through surfaces meet is not."""
+    b = under(sheet(1.0), None)
+    b.quad("Lid", (-9, -9, 1.5), (0, 18, 0), (18, 0, 0), diffuse("Lid", 0.0, 1.0))
+    scene = b.build()
+    for bits, expected in ((RayKind.DIFFUSE, True), (RayKind.TRANSMISSION, False)):
+        visibility = np.array([bits if o.name == "Lid" else RayKind.ALL for o in scene.objects], np.uint8)
+        found = direct(dataclasses.replace(scene, visibility=visibility), "path_tracing", samples=64, light_importance=False)
+        assert (found.direct.mean() > 2.5) == expected
+
+
+def test_passing_costs_no_segment():
+    """One bounce behind ten sheets is a path of two segments."""
+    b = under(sheet(0.95), "point", 10, floor=0.5)
+    b.box("Room", (-3.5, -3.5, -0.5), (3.5, 3.5, 2.5), diffuse("Wall", 0.5), inward=True)
+    world, receivers = World(b.build()), quad_points(*grid(4))
+    short = solve("path_tracing", world, receivers, samples=128, max_length=2)
+    assert short.direct.mean() > 0 and short.indirect.mean() > 0.05 * short.direct.mean()
+
+
+def test_scenes_without_such_surfaces_ask_nothing():
+    assert World(scenes.cornell()).passing is None
