@@ -340,6 +340,20 @@ BUGS = (
         "",
         "tests/methods/test_straight_through.py -k counted_twice",
     ),
+    Bug(
+        "light points through rough glass do not know that they look on one side only",
+        "adjoint_gi/core/walks/radiance.py",
+        "agrees, pdf / share, 1 / share, value.T)",
+        "agrees, pdf, 1 / share, value.T)",
+        "tests/methods/test_path_lobes.py -k rough_glass",
+    ),
+    Bug(
+        "rays through rough glass do not know that light points look on one side only",
+        "adjoint_gi/core/walks/radiance.py",
+        "drawn.pdf_w[go] / light_share(self.lobes)[go]",
+        "drawn.pdf_w[go]",
+        "tests/methods/test_path_lobes.py -k rough_glass",
+    ),
 )
 
 

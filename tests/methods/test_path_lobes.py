@@ -15,7 +15,7 @@ from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Mater
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
 from adjgi.tests.methods.test_path_tracing import PI, Z, check, solve
-from adjgi.tests.solving import scattered
+from adjgi.tests.solving import look, scattered
 
 solvers.load()
 
@@ -135,3 +135,34 @@ def test_lamps_without_size_need_light_points():
     world = World(b.build())
     s = solve(world, scattered(world, 10), samples=4, light_importance=False)
     assert not s.direct.any() and any("Lamp" in str(w) for w in s.warnings)
+
+
+def behind_frosted(emitter, kind, roughness, distance):
+    """A camera before a rough pane, and a square of 1 m and radiance 2 some way behind it: a lamp or a panel."""
+    b = SceneBuilder()
+    b.quad("Pane", (-3, 1, -3), (6, 0, 0), (0, 0, 6), Material("Frosted", (Lobe(kind, Color.of(1), roughness, 1.3),)))
+    y = 1 + distance
+    if emitter == "lamp":
+        axes = {"axis_x": (1.0, 0.0, 0.0), "axis_y": (0.0, 0.0, -1.0), "axis_z": (0.0, 1.0, 0.0)}
+        b.light(Light("Area", "area", (2.0, 2.0, 2.0), position=(0, y, 0), size_x=1.0, size_y=1.0, **axes))
+    else:
+        b.quad("Panel", (-0.5, y, -0.5), (1, 0, 0), (0, 0, 1), diffuse("Panel", 0.0, 2.0))
+    b.camera = look((0, 0, 0), (0, 1, 0), half=0.3, size=4)
+    return World(b.build())
+
+
+@pytest.mark.parametrize("emitter", ["lamp", "panel"])
+@pytest.mark.parametrize(("kind", "roughness", "distance"), [("glass", 0.5, 0.6), ("refraction", 0.7, 0.6)])
+def test_light_points_and_rays_share_what_comes_through_rough_glass(emitter, kind, roughness, distance):
+    """Light points look on either side of rough glass with probability one half, which the weights of both techniques must know."""
+    world = behind_frosted(emitter, kind, roughness, distance)
+    receivers = CameraReceivers(world)
+
+    def mean(**options):
+        found = [solve(world, receivers, seed=s, samples=384, **options).direct.mean() for s in range(6)]
+        return np.mean(found), np.std(found, ddof=1) / np.sqrt(len(found))
+
+    (joined, a), (rays, b) = mean(), mean(light_importance=False)
+    error = np.hypot(a, b)
+    assert error < 0.004 * rays
+    assert abs(joined - rays) < 4 * error
