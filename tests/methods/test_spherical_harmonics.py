@@ -28,7 +28,7 @@ from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Mater
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.radiance import Walk, gather, lobes_of
 from adjgi.tests import scenes, solving
-from adjgi.tests.solving import on_elements
+from adjgi.tests.solving import grid, on_elements, quad_points
 
 solvers.load()
 
@@ -259,3 +259,14 @@ def test_notices_and_empty_scenes():
     assert any("stopped after 3 shots" in str(x) for x in steps[-1].solution().warnings)
     assert steps[-1].fraction == 1.0 and not steps[-1].solution().partial
     assert len(solve(on_elements(SceneBuilder().build())).direct) == 0
+
+
+def test_a_pane_lets_no_more_light_of_a_lamp_through_than_there_is():
+    """Below a slab of glass under a lamp: 0.316 W m-2 by path tracing. What harmonics swing must not add to it: 17 % once."""
+    b = SceneBuilder()
+    b.box("Room", (0, 0, 0), (4, 4, 3), diffuse("Black", 0.0), inward=True)
+    b.box("Slab", (0, 0, 1.4), (4, 4, 1.6), Material("Pane", (Lobe("glass", Color.of(1), 0.0, 1.5),)), inward=False)
+    b.light(Light("Area", "area", (5.0, 5.0, 5.0), position=(2, 2, 2.9), size_x=1.0, size_y=1.0))
+    u, v = grid(4)
+    found = solve(World(b.build()), quad_points(u, v, first=8), max_edge=1.0, rays=300_000, order=4).quantity("irradiance").mean()
+    assert found == pytest.approx(0.316, rel=0.08)
