@@ -60,7 +60,7 @@ def zdm2(path: Path):
     scene.world = bpy.data.worlds.new("Sky")
     demo.black_world(scene.world, (0.5, 0.7, 1.0))
     for obj in [o for o in scene.objects if o.type == "MESH"]:
-        # Faces are made flat: on 8 % of the texels Cycles' bake has other smooth normals than the evaluated mesh shows in its corners.
+        # Faces are made flat: at edges that more than two faces share Cycles has one normal for each vertex, Blender's corners have more.
         for modifier in [m for m in obj.modifiers if m.type == "NODES"]:
             obj.modifiers.remove(modifier)
         obj.data.shade_flat()

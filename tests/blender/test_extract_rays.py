@@ -108,3 +108,16 @@ def test_nothing_is_said_of_what_does_not_count():
     lamp = add_light("POINT")
     lamp.visible_diffuse, lamp.hide_render = False, True
     assert not told(seen())
+
+
+def test_the_shading_terminator_is_read_for_each_object_and_what_is_not_followed_is_named():
+    """Its two settings are Cycles' own up to Blender 4.5 and the object's since; both have the defaults of Cycles."""
+    near, far = (white_plane(2.0, diffuse_material(name, 0.5)) for name in ("near", "far"))
+    assert [round(o.terminator, 4) for o in seen().objects] == [0.1, 0.1]
+    owner = far if hasattr(far, "shadow_terminator_geometry_offset") else far.cycles
+    owner.shadow_terminator_geometry_offset = 0.4
+    arrays = seen()
+    assert {o.name: round(o.terminator, 4) for o in arrays.objects} == {near.name: 0.1, far.name: 0.4} and not told(arrays)
+    setattr(owner, "shadow_terminator_shading_offset" if owner is far else "shadow_terminator_offset", 0.2)
+    (one,) = told(seen())
+    assert one.object == far.name and "Shading Offset" in one.reason
