@@ -83,8 +83,9 @@ def resolve(context: bpy.types.Context, request: BakeRequest) -> tuple[BakeReque
         if scene.camera is None:
             notices.append(Notice("Camera", "the scene has no active camera", "Add a camera and make it active", "error"))
     else:
+        present = _by_name(context)
         for name in request.objects:
-            notices += _named(context, name)
+            notices += _named(context, name, present.get(name))
         if not any(n.severity == "error" for n in notices):
             request, found = _resolve_objects(context, request)
             notices += found
@@ -128,7 +129,8 @@ def _meant(context: bpy.types.Context, request: BakeRequest) -> list[bpy.types.O
     """The mesh objects named, or all that have faces and are not hidden in render, whether they can be written to or not."""
     wanted = dict.fromkeys(request.objects)
     if wanted:
-        return [context.view_layer.objects[name] for name in wanted if name in context.view_layer.objects]
+        present = _by_name(context)
+        return [present[name] for name in wanted if name in present]
     return _with_faces(context)
 
 
@@ -153,7 +155,8 @@ def inspect(world: World, request: BakeRequest) -> list[Notice]:
         if arrays.camera is None and not any(n.severity == "error" for n in notices):
             notices.append(Notice("Camera", "there is no camera that can be used", "Make it perspective or orthographic", "error"))
     else:
-        notices = refusals(notices, [n for n in request.objects if n not in {arrays.objects[i].source for i in receivers}])
+        present = {arrays.objects[i].source for i in receivers}
+        notices = refusals(notices, [n for n in request.objects if n not in present])
         if not request.objects:
             notices += _meshless(arrays) + _instances(arrays)
         if not receivers and not request.objects and not any(n.severity == "error" for n in notices):
@@ -193,7 +196,8 @@ def receiving(arrays: SceneArrays, request: BakeRequest) -> list[int]:
     meshes = {o.session_uid: o for o in bpy.data.objects if o.type == "MESH" and not targets.is_result(o)}
     own = [i for i, o in enumerate(arrays.objects) if not o.instance and o.uid in meshes]
     if request.objects:
-        return [i for i in own if arrays.objects[i].source in request.objects]
+        wanted = set(request.objects)
+        return [i for i in own if arrays.objects[i].source in wanted]
     able = [i for i in own if targets.linked(meshes[arrays.objects[i].uid], False) is None]
     return [i for i in able if arrays.objects[i].source not in request.left_out]
 
@@ -267,9 +271,13 @@ def picture_size(scene: bpy.types.Scene, request: BakeRequest) -> tuple[int, int
     return request.width or width, request.height or height
 
 
-def _named(context: bpy.types.Context, name: str) -> list[Notice]:
-    """Whether the object called `name` can be baked to at all."""
-    obj = context.view_layer.objects.get(name)
+def _by_name(context: bpy.types.Context) -> dict[str, bpy.types.Object]:
+    """The objects of the view layer: looked up in Blender by name, each would take a walk through all of them."""
+    return {obj.name: obj for obj in reversed(context.view_layer.objects.values())}
+
+
+def _named(context: bpy.types.Context, name: str, obj: bpy.types.Object | None) -> list[Notice]:
+    """Whether `obj`, called `name`, can be baked to at all."""
     if obj is None:
         known = name in bpy.data.objects
         reason = "is not in this view layer, or its collection is excluded" if known else "does not exist"

@@ -182,7 +182,7 @@ def renew(context: bpy.types.Context, request: BakeRequest) -> tuple[int, list[N
 
 def _prepare(context: bpy.types.Context, request: BakeRequest, world: World, indices: list[int]) -> Prepared | None:
     """New layers for those of the objects `indices` that need them; None where none does."""
-    objects = [_object(world, i) for i in indices]
+    objects = find_objects(tuple(world.scene.objects[i].uid for i in indices), "An object")
     with unhidden(context.view_layer):
         groups, why = _to_unwrap(objects, request, context.evaluated_depsgraph_get())
         if not groups:
