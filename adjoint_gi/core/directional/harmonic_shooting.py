@@ -131,7 +131,7 @@ class HarmonicShooting:
         flux = np.pi * self.area[index][who, None] * radiance / rays[who, None]
         if not plain:
             exact = self.area[index, None] * np.einsum("a,mak->mk", self.basis.flux, coefficients)
-            flux = _without_ringing(flux, exact, who, rays)
+            flux = _without_ringing(flux, exact, who, rays, self.scattering.passes[index >> 1])
         self._land(met, arrives, flux, used, classes)
 
     def _land(self, met: np.ndarray, arrives: np.ndarray, flux: np.ndarray, used: np.ndarray, classes: int) -> None:
@@ -162,11 +162,12 @@ class HarmonicShooting:
         return most_first(self.unshot_flux(), count)
 
 
-def _without_ringing(flux: np.ndarray, exact: np.ndarray, who: np.ndarray, rays: np.ndarray) -> np.ndarray:
+def _without_ringing(flux: np.ndarray, exact: np.ndarray, who: np.ndarray, rays: np.ndarray, passes: np.ndarray) -> np.ndarray:
     """Flux (r, k) of rays of sides `who` (r,), each of which casts `rays` (m,), made such that a side's is `exact` (m, k).
 
-    Harmonics cut off at an order swing below 0 beside a bright lobe, and by as much too high inside it: a pane passed up to 17 % too much
-    of a lamp, as its critical angle lets only the inside pass. There is no negative light: what is left keeps its shape, the side its flux.
+    Where light `passes` (m,) a side, its radiance is kept from ringing. Harmonics cut off at an order swing below 0 beside a bright lobe,
+    and by as much too high inside it: a pane passed up to 17 % too much of a lamp, as its critical angle lets only the inside pass. There
+    is no negative light: what is left keeps its shape, the side its flux.
     """
 
     def total(x: np.ndarray) -> np.ndarray:
@@ -174,7 +175,7 @@ def _without_ringing(flux: np.ndarray, exact: np.ndarray, who: np.ndarray, rays:
 
     lit = np.maximum(flux, 0)
     got = total(lit)
-    good = (exact > 0) & (got > 0)
+    good = (exact > 0) & (got > 0) & passes[:, None]
     scaled = lit * np.where(good, exact / np.where(good, got, 1), 0)[who]
     # The mean over the rays is not quite the integral: where a side takes light back, all its rays share the difference.
     shared = flux + ((exact - total(flux)) / rays[:, None])[who]

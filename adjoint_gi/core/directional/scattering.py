@@ -86,6 +86,7 @@ class MaterialScattering:
 class Scattering:
     """The scattering of all elements. `prepare` makes it, material by material; those not made yet are black.
 
+    passes (ne,) bool: those that let light through by a lobe.
     shiny (ne,) bool: elements of materials that are more than plainly diffuse; clear: whether anything refracts, so that basic
     radiance and radiance differ.
     """
@@ -94,6 +95,7 @@ class Scattering:
         self.elements, self.table, self.basis, self.pairs = elements, table, basis, count
         self.count, self.size = elements.count, basis.size
         self.shiny = np.zeros(elements.count, bool)
+        self.passes = np.zeros(elements.count, bool)
         self.clear = False
         self.materials: list[MaterialScattering] = []
 
@@ -132,6 +134,7 @@ class Scattering:
                 parts += [Part(share, *kernel) for share, kernel in zip(shares, cache[key], strict=True)]
             curves, dims, taken = self._base(group, means)
             self.shiny[which] = bool(parts) or len(curves) > 1
+            self.passes[which] = any(part.other is not None for part in parts)
             self.materials.append(MaterialScattering(which, means.diffuse[which], curves, dims, taken, tuple(parts)))
         yield 1.0
 
