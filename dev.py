@@ -3,6 +3,7 @@
 
     python dev.py demo [arguments]      bake the demonstration scene into out/demo (arguments go to `adjoint-gi demo`)
     python dev.py test [arguments]      ruff, then all tests in the bpy wheel (arguments go to pytest, and ruff is left out)
+    python dev.py fuzz [arguments]      random scenes through check and bake (arguments go to tests/fuzz.py)
     python dev.py build                 fetch and check the wheels, validate, build the extension's zips into dist/
     python dev.py matrix [VERSION ...]  the tests in several Blender versions (default: all of MATRIX)
     python dev.py blender PROGRAM [...] install the built zip into an empty folder of a real Blender and run the tests in it
@@ -295,6 +296,8 @@ def main(arguments: list[str]) -> int:
         return run([python.with_name("adjoint-gi"), "demo", "--output", "out/demo", *rest])
     if command == "test":
         return test(rest)
+    if command == "fuzz":
+        return run([main_environment(), "tests/fuzz.py", *rest])
     if command == "build":
         for path in build(main_environment(), ROOT / "dist"):
             print(path.relative_to(ROOT))

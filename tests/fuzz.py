@@ -36,9 +36,9 @@ METHODS = {  # settings that make a bake of 16 texels a side cheap
     "whitted": {"light_points": 1, "depth": 2},
     "distribution": {"samples": 1, "max_length": 3},
     "particle_tracing": {"particles": 2000, "max_length": 4},
-    "matrix_radiosity": {"rays": 16, "max_edge": 4.0, "light_samples": 1},
-    "progressive_radiosity": {"rays": 2000, "max_edge": 4.0, "light_samples": 1, "max_shots": 20},
-    "stochastic_jacobi": {"rays": 2000, "max_edge": 4.0, "light_samples": 1},
+    "matrix_radiosity": {"rays": 16, "max_edge": 20.0, "light_samples": 1, "max_iterations": 5},
+    "progressive_radiosity": {"rays": 2000, "max_edge": 20.0, "light_samples": 1, "max_shots": 20},
+    "stochastic_jacobi": {"rays": 2000, "max_edge": 20.0, "light_samples": 1},
 }
 
 
@@ -308,7 +308,9 @@ def described(owner: Any, depth: int) -> str:
     """Properties of a datablock and of what belongs to it, as text."""
     import bpy
 
-    parts = [f"{k}={owner[k]!r}" for k in owner.keys() if not k.startswith("adjoint_gi")] if depth == 0 else []  # noqa: SIM118
+    known = owner.bl_rna.properties  # Blender 4.2 lists what extensions register among custom properties, once it was read
+    own = [k for k in (owner.keys() if depth == 0 else ()) if not k.startswith("adjoint_gi") and k not in known]
+    parts = [f"{k}={owner[k]!r}" for k in own]
     for p in owner.bl_rna.properties:
         name = p.identifier
         if name in VOLATILE or name in MESH_ITEMS:
