@@ -61,7 +61,7 @@ def claim_places(shapes: Shapes, layout: UvTriangles, width: int, height: int, o
     places, maps = len(offsets), layout.maps()
     parts: list[tuple[np.ndarray, ...]] = []
     many = np.zeros(width * height, np.uint16)
-    clashes = Clashes.none(len(maps))
+    clashes = Clashes.none(maps.shape[1])
     for (low, high), runs in row_blocks(layout, width, height, offsets):
         # Step 1: places are painted from the last triangle to the first, so that the lowest stays: of equal indices numpy keeps the last.
         holder = np.full((high - low) * width * places, -1, np.int32)
@@ -135,6 +135,6 @@ def _barycentric(
     maps: np.ndarray, triangle: np.ndarray, column: np.ndarray, row: np.ndarray, offset: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Second and third barycentric coordinate (k,) float64 of the places `offset` (k, 2) of texels in triangles of `maps`."""
-    x0, y0, ax, ay, bx, by = maps[triangle].T
-    px, py = column + offset[:, 0] - x0, row + offset[:, 1] - y0
+    x0, y0, ax, ay, bx, by = (row.take(triangle) for row in maps)
+    px, py = column - x0 + offset[:, 0], row - y0 + offset[:, 1]
     return px * ax + py * ay, px * bx + py * by

@@ -34,10 +34,10 @@ class UvTriangles:
         return cls(xy, doubled, usable, inside, has_area)
 
     def maps(self) -> np.ndarray:
-        """(n, 6) float64 x0, y0, ax, ay, bx, by: the point (x, y) has barycentrics a = (x - x0) ax + (y - y0) ay, and b likewise."""
+        """(6, n) float64 x0, y0, ax, ay, bx, by: the point (x, y) has barycentrics a = (x - x0) ax + (y - y0) ay, and b likewise."""
         e1, e2 = self.xy[:, 1] - self.xy[:, 0], self.xy[:, 2] - self.xy[:, 0]
-        safe = np.where(self.has_area, self.doubled, 1.0)[:, None]
-        return np.concatenate([self.xy[:, 0], np.stack([e2[:, 1], -e2[:, 0], -e1[:, 1], e1[:, 0]], axis=1) / safe], axis=1)
+        safe = np.where(self.has_area, self.doubled, 1.0)
+        return np.stack([*self.xy[:, 0].T, *(x / safe for x in (e2[:, 1], -e2[:, 0], -e1[:, 1], e1[:, 0]))])
 
     def edges(self) -> np.ndarray:
         """(n, 8) float64: y of the corners from below, x of the lower two; dx/dy from the lowest to the highest, to the middle one, and
