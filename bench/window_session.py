@@ -176,7 +176,7 @@ def baked():
     """A bake under way, stopped, continued and finished."""
     bakes = runner()
     operator("bake")
-    yield from wait(lambda: not bakes.running or bakes.job.driver.fraction > 0.3)
+    yield from wait(lambda: not bakes.running or (not bakes.job.preparing and bakes.job.driver.fraction > 0.3))
     yield PAUSE
     save_panel("panel_running")
     began = time.monotonic()
@@ -238,7 +238,7 @@ def quit_while_baking():
     """Quitting in the middle of a bake must not wait for its end."""
     bakes = runner()
     operator("bake")
-    yield from wait(lambda: bakes.running and bakes.job.driver.fraction > 0.05)
+    yield from wait(lambda: bakes.running and not bakes.job.preparing and bakes.job.driver.fraction > 0.05)
     print(f"QUIT {time.time()}", flush=True)
     bpy.ops.wm.quit_blender()
     yield LIMIT

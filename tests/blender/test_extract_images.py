@@ -13,6 +13,7 @@ import pytest
 from adjgi.adjoint_gi.bridge.extract import image_store, images
 from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from adjgi.adjoint_gi.bridge.extract.image_header import sequence_file
+from adjgi.adjoint_gi.core.base.steps import finish
 from adjgi.adjoint_gi.core.images.headers import header_of_bytes
 from adjgi.tests.core import test_headers as headers
 from adjgi.tests.cycles_patch import render_patch, shader_material, white_plane
@@ -288,3 +289,25 @@ def test_budget_of_all_images(monkeypatch):
         assert small.row_means[-1, 0] > 10 * small.row_means[0, 0], "the picture is still there"
     (notice,) = [n for n in arrays.warnings if "all images together" in n.reason]
     assert notice.names == ('Image "second"', 'Image "third"') and "smaller copy" in notice.reason
+
+
+def test_images_are_read_one_by_one_before_the_extraction(tmp_path, monkeypatch):
+    image_store.KNOWN.clear()
+    for k in range(3):
+        emitter(bpy.data.images.load(png(tmp_path / f"{k}.png", (0.2 * k, 0.4, 0.2, 1.0))))
+    emitter(bpy.data.images.load(png(tmp_path / "alpha.png", (0.8, 0.4, 0.2, 0.5)))).image.alpha_mode = "PREMUL"
+    gone = bpy.data.images.load(png(tmp_path / "gone.png", (0.8, 0.4, 0.2, 0.5)))
+    emitter(gone)
+    reads = read_count(monkeypatch)
+    counts = []
+    for stage in images.reading(bpy.context):
+        if isinstance(stage, str):
+            counts.append(len(reads))
+            if stage.endswith("gone.png"):
+                bpy.data.images.remove(gone)
+        else:
+            finish(stage.steps)
+    assert counts == [0, 1, 2, 3, 4] and len(reads) == 4
+    arrays, told = notices()
+    assert len(reads) == 4 and len(arrays.textures) == 4 and all("ranges" in t.__dict__ for t in arrays.textures)
+    assert sum("premul" in t for t in told) == 1

@@ -32,7 +32,7 @@ class FakeBake:
     refuse = None  # an error that the next write raises
     in_blend = ()  # datablocks that are written all the same
 
-    def __init__(self, context, request):
+    def __init__(self, context, request, now=True):
         self.request = request
         b = SceneBuilder()
         b.quad("Square", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
@@ -41,6 +41,9 @@ class FakeBake:
         self.written = []
         self.notices = []
         self.files = []
+
+    def preparing(self):
+        yield "Preparing"
 
     def take_back(self):
         pass

@@ -16,6 +16,7 @@ from ...core.elements.mesh import ElementNodes, mesh_solution
 from ...core.method.solution import Solution
 from ...core.receivers.base import Receivers
 from ...core.receivers.vertices import VertexMap, vertex_receivers
+from ..host.preparation import Aside, Stages, once
 from ..results import links, preview
 from ..results.attribute import WrittenAttribute, write_attribute, write_to_copy
 from ..results.elements import write_elements
@@ -29,10 +30,14 @@ class AttributeWriter(Writer):
     vertices: VertexMap | None = None
     nodes: ElementNodes | None = None  # of objects made of elements
 
-    def place(self, context: bpy.types.Context) -> Receivers:
+    def placing(self) -> Stages[None]:
         """The corners of the elements where objects are made of them, else the vertices or corners of the meshes."""
+        indices = receiving(self.world.scene, self.request)
+        self.receivers = yield Aside("Placing vertices", once(lambda: self._place(indices)))
+
+    def _place(self, indices: list[int]) -> Receivers:
+        """The receivers on these objects. Needs no Blender."""
         request, world = self.request, self.world
-        indices = receiving(world.scene, request)
         if request.new_object and request.solver.spec.uses_elements:
             elements = Elements(world, request.settings.max_edge, request.solver.element_target(request.settings))
             self.nodes = ElementNodes(elements, indices)

@@ -13,6 +13,7 @@ Everything here belongs on the main thread; only the driver's own thread compute
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import bpy
@@ -24,13 +25,16 @@ from ...core.method.solution import Solution
 from ...core.scene.arrays import SceneArrays
 from ...core.scene.world import World
 from ..extract.depsgraph import extract
+from ..extract.images import reading
 from ..host import files
+from ..host.preparation import Aside, Stages, finish_stages, once
 from ..props.request import BakeRequest, raise_first
 from . import outputs
 from .attributes import AttributeWriter
 from .picture import PictureWriter
 from .preflight import inspect, left_out, ordered, picture_size, preflight, receiving, resolve, target_objects
 from .textures import TextureWriter
+from .watch import fingerprint
 from .writer import Writer
 
 __all__ = ["Bake", "BakeRequest", "preflight"]
@@ -46,15 +50,32 @@ class Bake:
     files     paths of the files among them
     """
 
-    def __init__(self, context: bpy.types.Context, request: BakeRequest) -> None:
-        """Raises `AdjointError` with object, reason and remedy when the bake is refused; then nothing has been changed."""
+    def __init__(self, context: bpy.types.Context, request: BakeRequest, now: bool = True) -> None:
+        """Raises `AdjointError` with object, reason and remedy when the bake is refused; then nothing has been changed.
+
+        Without `now` only what can be seen at once is looked at, and the caller has to run `preparing` before anything else.
+        """
+        self.request = request
         self.written: list[str] = []
         self.files: list[str] = []
+        self.notices: list[Notice] = []
         self.scene_name = context.scene.name
-        built = build(context, request, said := [])
+        self._undo = contextlib.ExitStack()
+        if now:
+            finish_stages(self.preparing())
+        else:
+            raise_first(resolve(context, request)[1])
+
+    def preparing(self) -> Stages[None]:
+        """Extract, check, make what is missing, place the receivers and make the driver.
+
+        Raises as the class does, and when the user changes the scene meanwhile; what was made on the objects is taken back then, and when
+        it is closed.
+        """
+        built = yield from building(self.request, said := [])
         self._undo = built.undo
         self.request, self.writer, self.driver = built.writer.request, built.writer, built.driver
-        self.notices: list[Notice] = [n for n in ordered(said) if n.severity != "error"]
+        self.notices = [n for n in ordered(said) if n.severity != "error"]
 
     def take_back(self) -> None:
         """Remove what was made on the objects for a bake that is refused or ends without a result; after a `write` it stays."""
@@ -96,7 +117,7 @@ class Built:
     undo: contextlib.ExitStack
 
 
-def build(context: bpy.types.Context, request: BakeRequest, said: list[Notice]) -> Built:
+def building(request: BakeRequest, said: list[Notice]) -> Stages[Built]:
     """Everything before the solve; notices are added to `said`. Raises `AdjointError` when the bake is refused; then nothing has changed.
 
     Where no objects are named, one that turns out not to be able to receive is left out, with a warning, and the rest is built.
@@ -105,8 +126,9 @@ def build(context: bpy.types.Context, request: BakeRequest, said: list[Notice]) 
     while True:
         notices: list[Notice] = []
         try:
-            built = _attempt(context, request, notices)
+            built = yield from _attempting(request, notices)
         except (SceneError, TargetError) as error:
+            context = bpy.context
             objects = [o.name for o in target_objects(context, request)] if request.target != "render" and not request.objects else []
             if error.notice.object not in objects or len(objects) == 1:
                 said += [*told, *notices]
@@ -118,15 +140,18 @@ def build(context: bpy.types.Context, request: BakeRequest, said: list[Notice]) 
         return built
 
 
-def _attempt(context: bpy.types.Context, request: BakeRequest, said: list[Notice]) -> Built:
-    """`build` for these objects; raises `AdjointError` when one of them cannot receive."""
+def _attempting(request: BakeRequest, said: list[Notice]) -> Stages[Built]:
+    """`building` for these objects; raises `AdjointError` when one of them cannot receive."""
     # Step 1: refuse what cannot work, before anything is touched.
-    request, notices = resolve(context, request)
+    request, notices = resolve(bpy.context, request)
     said += notices
     raise_first(notices)
-    arrays = _extract(context, request)
-    world = World(arrays)
-    found = [*inspect(world, request), *outputs.problems(request, arrays, receiving(arrays, request), context.scene.name)]
+    yield from reading(bpy.context)
+    yield "Reading the scene"
+    arrays, same = _extract(request)
+    world = yield Aside("Building the tree of rays", once(lambda: World(arrays)))
+    same()
+    found = [*inspect(world, request), *outputs.problems(request, arrays, receiving(arrays, request), bpy.context.scene.name)]
     said += found
     raise_first(ordered(found))
     if request.output:
@@ -135,15 +160,20 @@ def _attempt(context: bpy.types.Context, request: BakeRequest, said: list[Notice
     # Step 2: UV layers that are missing are made; then the scene has to be read again.
     kind = WRITERS[request.target]
     with contextlib.ExitStack() as undo:
-        made = kind.prepare(context, request, world)
+        made = yield from kind.preparing(request, world, same)
         if made is not None:
-            undo.callback(context.view_layer.update)
+            undo.callback(lambda: bpy.context.view_layer.update())
             undo.push(made.undo)
             said += made.notices
-            world = World(_extract(context, request))
+            yield "Reading the scene again"
+            arrays, same = _extract(request)
+            world = yield Aside("Building the tree of rays", once(lambda: World(arrays)))
+            same()
 
         # Step 3: receivers and the driver.
-        writer = kind(context, request, world)
+        writer = kind(bpy.context, request, world)
+        yield from writer.placing()
+        same()
         said += writer.notices
         return Built(writer, Driver(request.solver, world, writer.receivers, request.settings), undo.pop_all())
 
@@ -152,7 +182,7 @@ def rehearse(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
     """All that a bake would say before its first result, errors first. All of it is done, by the same code, and taken back."""
     said: list[Notice] = []
     try:
-        built = build(context, request, said)
+        built = finish_stages(building(request, said))
         with built.undo:
             _first_step(built.driver)
     except AdjointError as error:
@@ -168,6 +198,14 @@ def _first_step(driver: Driver) -> None:
         next(steps)
 
 
-def _extract(context: bpy.types.Context, request: BakeRequest) -> SceneArrays:
-    depsgraph = context.evaluated_depsgraph_get()
-    return extract(depsgraph, context.scene, picture_size(context.scene, request))
+def _extract(request: BakeRequest) -> tuple[SceneArrays, Callable[[], None]]:
+    """The scene as it is, and what raises when it is another one later."""
+    context = bpy.context
+    arrays = extract(context.evaluated_depsgraph_get(), context.scene, picture_size(context.scene, request))
+    seen = fingerprint(context)
+
+    def same() -> None:
+        if fingerprint(bpy.context) != seen:
+            raise AdjointError("Scene", "was changed while the bake was prepared", "Bake again")
+
+    return arrays, same

@@ -13,6 +13,7 @@ import bpy
 from ...core.base.errors import AdjointError, MemoryRefused, Notice, SceneError
 from ...core.method.solution import Solution
 from ..host import background, preferences
+from ..host.preparation import Preparation
 from ..props import properties, records
 from ..props.request import BakeRequest
 from ..results import kept
@@ -21,6 +22,7 @@ from .bake import Bake
 from .preflight import ordered, target_objects
 from .watch import Targets
 
+QUICK = 0.1  # seconds that pressing Bake may take before it goes on in the background
 SHARE = 0.1  # largest share of the main thread's time that partial writes may take
 
 
@@ -30,13 +32,10 @@ class BakeJob(background.Job):
     def __init__(self, context: bpy.types.Context, request: BakeRequest) -> None:
         """Raises `AdjointError` when the scene cannot be baked."""
         self.request = request
-        with background.undo_step_of_additions("Adjoint GI Lightmap UVs"):
-            self.bake = Bake(context, request)
-        self.request = request = self.bake.request
-        super().__init__(context.scene.session_uid, self.bake.driver)
-        objects = target_objects(context, request) if request.target != "render" else ()
-        layers = {o.session_uid: find_uv_layer(o, request.uv_layer) for o in objects} if request.target == "texture" else {}
-        self.targets = Targets(objects, layers)
+        self.bake = Bake(context, request, now=False)
+        self.preparation = Preparation(self.bake.preparing())
+        super().__init__(context.scene.session_uid, self.preparation)
+        self.targets = Targets(())  # those it is for, once it is prepared
         self.solution: Solution | None = None  # kept while it could not be written
         self._kept = ""  # the file that it is kept in
         self._written = 0  # version of the driver's partial result that was written last
@@ -52,10 +51,75 @@ class BakeJob(background.Job):
         """Also what was found before the solve."""
         return [notice for notice in (*self.notices, *self.bake.notices) if notice.severity != "info"]
 
+    @property
+    def preparing(self) -> bool:
+        """Whether the solve has not begun yet."""
+        return self.driver is self.preparation
+
     def start(self) -> None:
-        """Let the driver compute in its thread."""
-        super().start()
-        self._next_write = time.monotonic() + preferences.refresh_seconds()
+        """Prepare as far as one slice goes, where quick scenes are refused or ready, and go on by `poll`. Raises `AdjointError`."""
+        self._prepare(wait=QUICK)
+        if isinstance(self.preparation.error, AdjointError):
+            raise self.preparation.error
+
+    def ready(self) -> None:
+        """Prepare to the end, here and now, without a thread. Raises `AdjointError`."""
+        with background.undo_step_of_additions("Adjoint GI Lightmap UVs"):
+            self.preparation.finish()
+        self._take_driver()
+
+    def poll(self) -> None:
+        """Go on preparing, or look at the driver."""
+        if not self.preparing:
+            super().poll()
+        elif self.state == "stopping":
+            self._drop()
+        else:
+            self._prepare()
+
+    def stop(self, wait: float = background.STOP) -> None:
+        """While it is prepared there is no result to keep: what was made is taken back."""
+        if self.preparing and self.state == "running":
+            self.state = "stopping"
+            if wait:
+                self._drop(wait)
+        else:
+            super().stop(wait)
+
+    def cancel(self) -> None:
+        """Drop the work."""
+        if self.preparing:
+            self.preparation.stop(background.STOP)  # without an undo step: a file may be about to be loaded
+            self.state = "cancelled"
+        else:
+            super().cancel()
+
+    def _prepare(self, wait: float = 0.0) -> None:
+        """One slice of the preparation; at its end the driver takes its place."""
+        with background.undo_step_of_additions("Adjoint GI Lightmap UVs"):
+            self.preparation.advance(wait)
+        if self.preparation.state == "failed":
+            self.fail(self.preparation.error)
+            self.notices += getattr(self.preparation.error, "others", ())
+        elif self.preparation.state == "finished":
+            self._take_driver()
+            self.driver.start()
+            self._next_write = time.monotonic() + preferences.refresh_seconds()
+
+    def _take_driver(self) -> None:
+        """The driver takes the place of what prepared it."""
+        context = bpy.context
+        self.request = request = self.bake.request
+        objects = target_objects(context, request) if request.target != "render" else ()
+        layers = {o.session_uid: find_uv_layer(o, request.uv_layer) for o in objects} if request.target == "texture" else {}
+        self.targets, self.driver = Targets(objects, layers), self.bake.driver
+
+    def _drop(self, wait: float = 0.0) -> None:
+        """End the preparation, if its part that runs aside lets go in `wait` seconds."""
+        with background.undo_step_of_additions("Adjoint GI Lightmap UVs"):
+            if self.preparation.stop(wait):
+                self.state = "stopped"
+                self.notices = [Notice("", "Stopped before the solve began; nothing was changed", "", "info")]
 
     @property
     def resumable(self) -> bool:
@@ -135,7 +199,7 @@ class BakeJob(background.Job):
     def fail(self, error: BaseException | None) -> None:
         """The solver or a write raised: also keep the last partial result if there is one."""
         super().fail(error)
-        if isinstance(error, SceneError | MemoryRefused) and self.driver.solution() is None:
+        if not self.preparing and isinstance(error, SceneError | MemoryRefused) and self.driver.solution() is None:
             self.bake.take_back()
         self.solution, self._kept = self.driver.solution(), ""
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import bpy
 
 from ...core.method.solution import Solution
-from ...core.receivers.base import CameraReceivers, Receivers
+from ...core.receivers.base import CameraReceivers
 from ..engine.pictures import write_picture
+from ..host.preparation import Aside, Stages, once
 from . import outputs
 from .writer import Writer
 
@@ -19,10 +20,10 @@ class PictureWriter(Writer):
 
     needs_folder = True
 
-    def place(self, context: bpy.types.Context) -> Receivers:
+    def placing(self) -> Stages[None]:
         """The pixels of the camera."""
-        self.transparent = bool(context.scene.render.film_transparent)
-        return CameraReceivers(self.world)
+        self.transparent = bool(bpy.context.scene.render.film_transparent)
+        self.receivers = yield Aside("Placing pixels", once(lambda: CameraReceivers(self.world)))
 
     def write(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:
         """Both files: see the class."""

@@ -8,13 +8,15 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 
-from ...core.base.errors import Notice
-from ...core.receivers.unwrap import Unwrapped, unwrap
+from ...core.base.errors import Notice, TargetError
+from ...core.base.steps import Steps
+from ...core.receivers.unwrap import Unwrapped, unwrapping
 from ...core.scene.world import World
+from ..host.notices import listed
 from ..props.request import BakeRequest
 from ..results import stored
 from ..results.faces import MeshFaces
-from ..results.lightmap_uv import listed_errors, marked, outdated, own_layer, paddings
+from ..results.lightmap_uv import marked, outdated, own_layer, paddings
 
 DENSITY = "adjoint_gi_density"  # property of objects: multiplies their texels a metre
 FULL = 0.6  # share of the image that charts are first thought to fill
@@ -43,28 +45,28 @@ def planned(world: World, indices: Sequence[int], request: BakeRequest) -> np.nd
     return np.array([_side(part, request) for part in parts], np.int64)
 
 
-def unwrap_to_density(
-    objects: Sequence[bpy.types.Object], faces: Sequence[MeshFaces], request: BakeRequest, side: int, density: np.ndarray
-) -> tuple[Unwrapped, int, list[Notice]]:
-    """The layers of `objects`, which share an image, its texels a side, and what there is to say of its density.
+def unwrapping_to_density(
+    names: Sequence[str], factors: np.ndarray, faces: Sequence[MeshFaces], request: BakeRequest, side: int, density: np.ndarray
+) -> Steps[tuple[Unwrapped, int, list[Notice]]]:
+    """The layers of the objects `names`, which share an image, its texels a side, and what there is to say of its density; without Blender.
 
-    Where no texels a metre are asked for, the image has `side`. `density` (n,) is that of `unwrap`.
+    Where no texels a metre are asked for, the image has `side`. `density` (n,) is that of `unwrap`, `factors` (n,) are the `multiplier`s.
     """
-    density = density if len(objects) > 1 else np.ones(1)
-    wanted = request.texels_per_metre * (multiplier(objects[0]) if len(objects) == 1 else 1.0)
+    density = density if len(names) > 1 else np.ones(1)
+    wanted = request.texels_per_metre * (float(factors[0]) if len(names) == 1 else 1.0)
     if not wanted:
-        return _unwrap(objects, faces, side, density), side, []
+        return (yield from _unwrapping(names, faces, side, density)), side, []
     area = np.array([0.5 * face.area[face.good].sum() for face in faces])
-    side = _side(float((area * [multiplier(obj) ** 2 for obj in objects]).sum()), request)
-    found = _unwrap(objects, faces, side, density)
+    side = _side(float((area * factors**2).sum()), request)
+    found = yield from _unwrapping(names, faces, side, density)
     if not 1 / CLOSE < found.texels_per_metre / wanted < CLOSE:
         better = _bounded(side * wanted / found.texels_per_metre, request.resolution)
         if better != side:
-            side, found = better, _unwrap(objects, faces, better, density)
+            side, found = better, (yield from _unwrapping(names, faces, better, density))
     notices = []
     if found.texels_per_metre * CLOSE < wanted:
         reason = f"only {found.texels_per_metre:.3g} texels a metre fit into {side} x {side}, not {wanted:.3g}"
-        notices.append(Notice(", ".join(o.name for o in objects[:8]), reason, "Raise the resolution, or ask for fewer"))
+        notices.append(Notice(", ".join(names[:8]), reason, "Raise the resolution, or ask for fewer"))
     return found, side, notices
 
 
@@ -92,9 +94,11 @@ def side_of(obj: bpy.types.Object, request: BakeRequest, side: int) -> int:
     return int(known) if known and request.texels_per_metre and not request.uv_layer else side
 
 
-def _unwrap(objects: Sequence[bpy.types.Object], faces: Sequence[MeshFaces], side: int, density: np.ndarray) -> Unwrapped:
-    with listed_errors(objects):
-        return unwrap([face.mesh for face in faces], side, paddings(side), density)
+def _unwrapping(names: Sequence[str], faces: Sequence[MeshFaces], side: int, density: np.ndarray) -> Steps[Unwrapped]:
+    try:
+        return (yield from unwrapping([face.mesh for face in faces], side, paddings(side), density))
+    except TargetError as error:
+        raise TargetError(listed(list(names)), error.notice.reason, error.notice.remedy) from error
 
 
 def _side(area: float, request: BakeRequest) -> int:

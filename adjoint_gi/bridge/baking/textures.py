@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,22 +11,25 @@ import bpy
 import numpy as np
 
 from ...core.base.errors import AdjointError, Notice
+from ...core.base.steps import Steps, within
 from ...core.base.text import json_text
 from ...core.flux.density import Given, given, seen
 from ...core.images.exr import write_exr
 from ...core.images.png import write_png
 from ...core.method.solution import Solution
-from ...core.receivers.base import Receivers
 from ...core.receivers.margin import fill_margin
 from ...core.receivers.texels import Lightmap, join, rasterize
+from ...core.receivers.unwrap import Unwrapped
 from ...core.scene.world import World
 from ..engine.pictures import exposure
 from ..extract.depsgraph import extract
 from ..host import files
+from ..host.preparation import Aside, Stages, finish_stages, once
 from ..props.request import BakeRequest, raise_first
 from ..results import links, preview
 from ..results.image import linked_image, write_image
 from ..results.lightmap_uv import (
+    UvPlan,
     check_uv_layer,
     find_uv_layer,
     in_one_square,
@@ -39,7 +42,7 @@ from ..results.lightmap_uv import (
 from ..results.show import unhidden
 from . import outputs
 from .preflight import look, receiving, resolutions
-from .sides import multiplier, note, side_of, unfit, unwrap_to_density
+from .sides import multiplier, note, side_of, unfit, unwrapping_to_density
 from .writer import Prepared, Writer, find_objects
 
 COMPONENTS = ("emitted", "direct", "indirect", "albedo")  # layers of the file with all parts
@@ -74,7 +77,7 @@ class TextureWriter(Writer):
     """One image for each sheet; with a folder also its EXR, an EXR of all components, and a PNG to look at."""
 
     @classmethod
-    def prepare(cls, context: bpy.types.Context, request: BakeRequest, world: World) -> Prepared | None:
+    def preparing(cls, request: BakeRequest, world: World, same: Callable[[], None]) -> Stages[Prepared | None]:
         """Make our UV layer for the objects that receive and lack it, or have one that does not fit any more, where no layer is named.
 
         Those of an atlas share one square, so all of them get new layers where one does. All of them get one, or none.
@@ -82,9 +85,9 @@ class TextureWriter(Writer):
         if request.uv_layer:
             return None
         indices = receiving(world.scene, request)
-        return _prepare(context, request, world, indices)
+        return (yield from _preparing(request, world, indices, same))
 
-    def place(self, context: bpy.types.Context) -> Receivers:
+    def placing(self) -> Stages[None]:
         """The texels of all sheets, one sheet after the other."""
         indices = receiving(self.world.scene, self.request)
         groups = [indices] if self.request.atlas else [[i] for i in indices]
@@ -92,30 +95,41 @@ class TextureWriter(Writer):
         sides = resolutions(self.world, indices, self.request)
         sides = np.array([side_of(obj, self.request, int(side)) for obj, side in zip(owners, sides, strict=True)])
         self.notices += _told(self.request, sides)
-        sheets = [self._sheet(context, group, int(side)) for group, side in zip(groups, sides, strict=True)]
-        self.given = [part for group, sheet in zip(groups, sheets, strict=True) for part in sheet.given(self.world, group)]
-        receivers, parts = join([sheet.lightmap.receivers for sheet in sheets])
-        self.sheets: Sequence[Sheet] = [replace(sheet, part=part) for sheet, part in zip(sheets, parts, strict=True)]
-        return receivers
+        layers = [self._layers(bpy.context, group) for group in groups]
+        yield Aside("Placing texels", self._sheets(groups, layers, sides))
 
-    def _sheet(self, context: bpy.types.Context, group: list[int], resolution: int) -> Sheet:
-        """The texels of the objects `group`, which share one image of `resolution`."""
-        request, world = self.request, self.world
-        objects = [world.scene.objects[i] for i in group]
-        uids = tuple(o.uid for o in objects)
+    def _layers(self, context: bpy.types.Context, group: list[int]) -> list[str]:
+        """The UV layers of the objects `group`; says what is wrong with them."""
+        request = self.request
+        objects = [self.world.scene.objects[i] for i in group]
         depsgraph = context.evaluated_depsgraph_get()
         layers = []
-        found = find_objects(uids, objects[0].source)
+        found = find_objects(tuple(o.uid for o in objects), objects[0].source)
         for obj in found:
             layers.append(find_uv_layer(obj, request.uv_layer))
             self.notices += check_uv_layer(obj, layers[-1], depsgraph)
         if not request.uv_layer and not request.atlas:
             self.notices += [_in_part(obj) for obj in found if shares_square(obj)]
-        layer_of = dict(zip(group, layers, strict=True))
-        lightmap = rasterize(world, group, layer_of, resolution, request.subsamples)
+        return layers
+
+    def _sheets(self, groups: list[list[int]], layers: list[list[str]], sides: np.ndarray) -> Steps[None]:
+        """The sheets of all groups of objects, with their UV `layers` and texels a side, and all receivers. Needs no Blender."""
+        sheets = []
+        for group, names, side in zip(groups, layers, sides, strict=True):
+            sheets.append(self._sheet(group, names, int(side)))
+            yield len(sheets) / len(groups)
+        self.given = [part for group, sheet in zip(groups, sheets, strict=True) for part in sheet.given(self.world, group)]
+        self.receivers, parts = join([sheet.lightmap.receivers for sheet in sheets])
+        self.sheets: Sequence[Sheet] = [replace(sheet, part=part) for sheet, part in zip(sheets, parts, strict=True)]
+
+    def _sheet(self, group: list[int], layers: list[str], resolution: int) -> Sheet:
+        """The texels of the objects `group`, which share one image of `resolution`. Needs no Blender."""
+        request, world = self.request, self.world
+        objects = [world.scene.objects[i] for i in group]
+        lightmap = rasterize(world, group, dict(zip(group, layers, strict=True)), resolution, request.subsamples)
         self.notices += lightmap.warnings
         name = outputs.title(request, self.scene_name, objects[0].source)
-        return Sheet(name, uids, lightmap, slice(0), tuple(layers))
+        return Sheet(name, tuple(o.uid for o in objects), lightmap, slice(0), tuple(layers))
 
     def write(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:
         """Every sheet: see the class."""
@@ -175,23 +189,47 @@ def renew(context: bpy.types.Context, request: BakeRequest) -> tuple[int, list[N
     raise_first(look(context, request))
     world = World(extract(context.evaluated_depsgraph_get(), context.scene))
     indices = receiving(world.scene, request)
-    made = _prepare(context, replace(request, renew_uvs=True), world, indices)
+    made = finish_stages(_preparing(replace(request, renew_uvs=True), world, indices, lambda: None))
     preview.restore([_object(world, i) for i in indices])
     return len(indices), made.notices if made is not None else []
 
 
-def _prepare(context: bpy.types.Context, request: BakeRequest, world: World, indices: list[int]) -> Prepared | None:
-    """New layers for those of the objects `indices` that need them; None where none does."""
+def _preparing(request: BakeRequest, world: World, indices: list[int], same: Callable[[], None]) -> Stages[Prepared | None]:
+    """New layers for those of the objects `indices` that need them; None where none does. `same`: see `Writer.preparing`."""
+    # Step 1: read the meshes.
     objects = find_objects(tuple(world.scene.objects[i].uid for i in indices), "An object")
-    with unhidden(context.view_layer):
-        groups, why = _to_unwrap(objects, request, context.evaluated_depsgraph_get())
+    with unhidden(bpy.context.view_layer):
+        groups, why = _to_unwrap(objects, request, bpy.context.evaluated_depsgraph_get())
         if not groups:
             return None
-        sides = np.broadcast_to(resolutions(world, indices, request), len(objects))
-        density = _densities(world, indices, objects, request)
-        made = _make_layers(groups, request, dict(zip(objects, sides, strict=True)), dict(zip(objects, density, strict=True)))
+        plans = [read_plan(group) for group in groups]
+    place = {obj: k for k, obj in enumerate(objects)}
+    parts = [[place[obj] for obj in group] for group in groups]
+    names, uids = [obj.name for obj in objects], [obj.session_uid for obj in objects]
+    sides = np.broadcast_to(resolutions(world, indices, request), len(objects))
+    factors = np.array([multiplier(obj) for obj in objects])
+
+    # Step 2: what is seen of them, and unwrapping, aside.
+    density = yield Aside("Looking from the camera and inside", once(lambda: _densities(world, indices, factors, request)))
+
+    def unwrapping() -> Steps[list[tuple[Unwrapped, int, list[Notice]]]]:
+        out = []
+        for k, (part, plan) in enumerate(zip(parts, plans, strict=True)):
+            own = [names[i] for i in part]
+            steps = unwrapping_to_density(own, factors[part], plan.faces, request, int(sides[part[0]]), density[part])
+            out.append((yield from within(steps, k / len(parts), (k + 1) / len(parts))))
+        return out
+
+    unwrapped = yield Aside("Unwrapping", unwrapping())
+
+    # Step 3: write the layers. The objects are those that were read, but an undo may have given them other places in memory.
+    same()
+    found = [find_objects(tuple(uids[i] for i in part), "Object") for part in parts]
+    plans = [replace(plan, objects=tuple(own)) for plan, own in zip(plans, found, strict=True)]
+    with unhidden(bpy.context.view_layer):
+        made = _write_layers(plans, unwrapped, request)
     made.notices[:0] = why
-    context.view_layer.update()
+    bpy.context.view_layer.update()
     return made
 
 
@@ -215,35 +253,25 @@ def _to_unwrap(
     return [] if together else [objects], told
 
 
-def _make_layers(
-    groups: list[list[bpy.types.Object]],
-    request: BakeRequest,
-    sides: Mapping[bpy.types.Object, int],
-    density: Mapping[bpy.types.Object, float],
-) -> Prepared:
-    """Unwrap each group into one image; all get their layers, or none.
-
-    An image has as many texels a side as `sides` says, or as the texels a metre need that are asked for; `density` is that of `unwrap`.
-    """
+def _write_layers(plans: list[UvPlan], unwrapped: list[tuple[Unwrapped, int, list[Notice]]], request: BakeRequest) -> Prepared:
+    """Give all objects of `plans` their layers, or none."""
     made = Prepared([])
     try:
-        for objects in groups:
-            plan, scale = read_plan(objects), np.array([density[obj] for obj in objects])
-            unwrapped, side, told = unwrap_to_density(objects, plan.faces, request, int(sides[objects[0]]), scale)
-            made.undo.callback(write_plan(plan, unwrapped))
-            note(objects, request, side)
-            made.notices += [*notices(objects, unwrapped), *told]
+        for plan, (result, side, told) in zip(plans, unwrapped, strict=True):
+            made.undo.callback(write_plan(plan, result))
+            note(plan.objects, request, side)
+            made.notices += [*notices(plan.objects, result), *told]
     except AdjointError:
         made.undo.close()
         raise
     return made
 
 
-def _densities(world: World, indices: list[int], objects: list[bpy.types.Object], request: BakeRequest) -> np.ndarray:
-    """(n,) float64 how densely `objects`, `indices` in the world, lie beside one another: in an atlas by what is seen of them, if no
-    texels a metre are asked for, times the user's factor."""
-    by_view = request.atlas and len(objects) > 1 and not request.texels_per_metre
-    return np.array([multiplier(obj) for obj in objects]) * (seen(world).weight[indices] if by_view else 1.0)
+def _densities(world: World, indices: list[int], factors: np.ndarray, request: BakeRequest) -> np.ndarray:
+    """(n,) float64 how densely the objects `indices` lie beside one another: in an atlas by what is seen of them, if no texels a metre are
+    asked for, times the user's `factors`. Needs no Blender."""
+    by_view = request.atlas and len(indices) > 1 and not request.texels_per_metre
+    return factors * (seen(world).weight[indices] if by_view else 1.0)
 
 
 def _told(request: BakeRequest, sides: np.ndarray) -> list[Notice]:

@@ -60,6 +60,21 @@ class Targets:
         return 0 if values is None else zlib.crc32(values.tobytes())
 
 
+def fingerprint(context: bpy.types.Context) -> tuple:
+    """What tells whether objects have come, gone, moved or been edited in the scene of `context` between two looks, cheap to take."""
+    scene, layer = context.scene, context.view_layer
+    layer.update()  # after a removal its list of objects has a hole until then
+    return (scene.session_uid, layer.name, scene.frame_current, tuple(_seen(obj) for obj in layer.objects))
+
+
+def _seen(obj: bpy.types.Object) -> tuple:
+    data = obj.data
+    counts = _counts(data) if obj.type == "MESH" else ()
+    modifiers = tuple((m.name, m.type, m.show_viewport, m.show_render) for m in obj.modifiers)
+    place = np.array(obj.matrix_world, np.float32).tobytes()  # bytes: what is no number is equal to itself, too
+    return (obj.session_uid, data.session_uid if data else 0, obj.mode, obj.hide_render, counts, modifiers, place)
+
+
 def _counts(mesh: bpy.types.Mesh) -> tuple[int, int, int]:
     return len(mesh.vertices), len(mesh.loops), len(mesh.polygons)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import abc
 import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from ...core.base.text import json_text
 from ...core.method.solution import Solution
 from ...core.receivers.base import Receivers
 from ...core.scene.world import World
+from ..host.preparation import Stages
 from ..props.request import BakeRequest
 
 
@@ -36,24 +38,27 @@ class Writer(abc.ABC):
     is_last = True  # whether what is written next is the end of the bake, and not shown for the time being
     needs_folder = False  # whether the result is nothing but files
 
+    receivers: Receivers
+
     def __init__(self, context: bpy.types.Context, request: BakeRequest, world: World) -> None:
-        """Raises `AdjointError` when there is nothing to write to. Of `request`, `output` is not read: folders are given to `write`."""
+        """Without receivers, which `placing` makes. Of `request`, `output` is not read: folders are given to `write`."""
         self.request, self.world = request, world
         self.scene_name = context.scene.name
         self.notices: list[Notice] = []
-        self.receivers = self.place(context)
 
     @classmethod
-    def prepare(cls, context: bpy.types.Context, request: BakeRequest, world: World) -> Prepared | None:
+    def preparing(cls, request: BakeRequest, world: World, same: Callable[[], None]) -> Stages[Prepared | None]:
         """Make what is missing on the objects before receivers can be placed; returns None when nothing was made.
 
-        Where something was made, the scene has to be read again.
+        Where something was made, the scene has to be read again. `same` raises when the user has changed it since it was read; to be asked
+        after every part that runs aside.
         """
         return None
+        yield
 
     @abc.abstractmethod
-    def place(self, context: bpy.types.Context) -> Receivers:
-        """The receivers, in an order that `write` knows."""
+    def placing(self) -> Stages[None]:
+        """Make `receivers`, in an order that `write` knows. Raises `AdjointError` when there is nothing to write to."""
 
     @abc.abstractmethod
     def write(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:

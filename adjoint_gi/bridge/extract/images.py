@@ -9,9 +9,10 @@ alpha to bytes. Both are exact here.
 
 from __future__ import annotations
 
+import functools
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import bpy
 import numpy as np
@@ -20,6 +21,7 @@ from ...core.base.color import decode_srgb, encode_srgb
 from ...core.base.resources import size_text
 from ...core.scene.texture import Texture, as_bytes, compact, renamed, shrunk
 from ..host.notices import Notices
+from ..host.preparation import Aside, Stages, once
 from .image_header import NoFile, sequence_file, stored_header
 from .image_store import KNOWN, Recorder, fingerprint
 
@@ -60,6 +62,10 @@ class Images:
             read = self._once(image, straight) if frame is None else self._read_frame(image, frame, straight)
             self._index[key] = None if read is None else self._add(renamed(read, image.name, extension, interpolation))
         return self._index[key]
+
+    def know(self, image: bpy.types.Image) -> Texture | None:
+        """Read it, as it is where its Alpha output is not used, for whoever asks for it later; None where it cannot be kept."""
+        return self._once(image, straight=False) if fingerprint(image) is not None else None
 
     def derive(self, texture: int, key: tuple, pixels: Callable[[np.ndarray], np.ndarray]) -> int:
         """Index of a texture with the same lookup and other pixels, which `pixels` makes of some of them ((n, 4) float32, in place or not);
@@ -232,6 +238,30 @@ class Images:
 def _stored_straight(image: bpy.types.Image) -> bool:
     """Whether colours are stored independent of alpha."""
     return image.source != "GENERATED" and image.file_format not in ASSOCIATED
+
+
+def reading(context: bpy.types.Context) -> Stages[None]:
+    """Read the files of images on the objects of `context` that are not known yet, one in each slice; an extraction finds them known then.
+    What there is to say of them is said by the extraction."""
+    context.view_layer.update()
+    trees = {slot.material.node_tree for obj in context.view_layer.objects for slot in obj.material_slots if slot.material is not None}
+    names = sorted({image.name for tree in trees if tree is not None for image in _images_of(tree)})
+    for name in names:
+        yield f"Reading image {name}"
+        image = bpy.data.images.get(name)  # anything may have happened meanwhile
+        texture = Images(Notices(), 0).know(image) if image is not None else None
+        if texture is not None:
+            yield Aside(f"Reading image {name}", once(functools.partial(getattr, texture, "ranges")))
+
+
+def _images_of(tree: bpy.types.NodeTree, depth: int = 0) -> Iterator[bpy.types.Image]:
+    """Images of files in the nodes of `tree` and of its groups, down to a depth that no tree of a person has."""
+    for node in tree.nodes:
+        image, group = getattr(node, "image", None), getattr(node, "node_tree", None)
+        if image is not None and image.source == "FILE" and image.library is None:
+            yield image
+        if group is not None and depth < 10:
+            yield from _images_of(group, depth + 1)
 
 
 def shown_frame(user: bpy.types.ImageUser, frame: int) -> int:

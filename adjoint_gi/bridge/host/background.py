@@ -56,6 +56,9 @@ class Job(abc.ABC):
         """Let the driver compute in its thread."""
         self.driver.start()
 
+    def ready(self) -> None:  # noqa: B027  most jobs are ready when they are made
+        """Called in the foreground before the driver runs."""
+
     def poll(self) -> None:
         """Look at the driver once: show a partial result, or finish."""
         state = self.driver.state
@@ -123,14 +126,23 @@ class Runner:
 
     def start(self, context: bpy.types.Context, request: Any) -> Job:
         """Start one in the background; raises `AdjointError` when a job of any kind is running, or this one is refused."""
-        job = self._new(context, request)
-        job.start()
+        before, job = self.job, self._new(context, request)
+        try:
+            job.start()
+        except AdjointError:
+            self.job = before
+            raise
         ensure_timer()
         return job
 
     def run(self, context: bpy.types.Context, request: Any, progress: Callable[[float], None]) -> Job:
         """Run one to its end in the foreground, for scripts and background mode; raises `AdjointError` as `start` does."""
-        job = self._new(context, request)
+        before, job = self.job, self._new(context, request)
+        try:
+            job.ready()
+        except BaseException:
+            self.job = before
+            raise
         try:
             job.driver.run(lambda driver: progress(driver.fraction))
             job.poll()

@@ -172,8 +172,10 @@ def shrunk(texture: Texture, most: int) -> Texture:
 
 
 def renamed(texture: Texture, name: str, extension: str, interpolation: str) -> Texture:
-    """The same stored values, looked up in another way."""
-    return replace(texture, name=name, extension=extension, interpolation=interpolation)
+    """The same stored values, looked up in another way; what is known of them stays known."""
+    made = replace(texture, name=name, extension=extension, interpolation=interpolation)
+    made.__dict__.update({key: texture.__dict__[key] for key in ("ranges", "row_means") if key in texture.__dict__})
+    return made
 
 
 def _ends(values: np.ndarray) -> np.ndarray:

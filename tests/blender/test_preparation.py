@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What comes before a solve runs in slices: it is shown, stopped, refused, and never blocks on a part that needs no Blender."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+import time
+
+import bpy
+import pytest
+from adjgi import solvers
+from adjgi.adjoint_gi.bridge.baking import bake as baking
+from adjgi.adjoint_gi.bridge.baking import textures
+from adjgi.adjoint_gi.bridge.baking.bake import Bake
+from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
+from adjgi.adjoint_gi.bridge.host import background
+from adjgi.adjoint_gi.bridge.host.preparation import Aside, Preparation, finish_stages, once
+from adjgi.adjoint_gi.bridge.results.lightmap_uv import own_layer
+from adjgi.adjoint_gi.core.base.errors import AdjointError, TargetError
+from adjgi.tests.baking import request
+from adjgi.tests.blender.fakes import square
+
+solvers.load()
+LIMIT = 20.0  # seconds that any wait in these tests may take
+
+
+class Clock:
+    """Time that passes only when it is told to."""
+
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def until(condition, preparation=None):
+    end = time.monotonic() + LIMIT
+    while not condition():
+        assert time.monotonic() < end, "it never came to that"
+        (preparation.advance if preparation else background.tick)()
+        time.sleep(0.002)
+
+
+def test_parts_aside_run_in_a_thread_and_all_others_on_the_main_one():
+    seen = []
+
+    def stages():
+        seen.append(threading.current_thread())
+        answer = yield Aside("Apart", once(lambda: seen.append(threading.current_thread()) or 7))
+        seen.append(threading.current_thread())
+        yield f"Got {answer}"
+
+    preparation = Preparation(stages())
+    until(lambda: preparation.state == "finished", preparation)
+    main = threading.main_thread()
+    assert seen[0] is main and seen[1] is not main and seen[2] is main and preparation.text == "Got 7"
+    seen.clear()
+    finish_stages(stages())
+    assert seen == [main] * 3, "in the foreground there is no thread"
+
+
+def test_a_slice_ends_when_its_time_is_used_up():
+    clock = Clock()
+
+    def stages():
+        for k in range(10):
+            clock.now += 0.02
+            yield str(k)
+
+    preparation = Preparation(stages(), clock)
+    preparation.advance()
+    assert preparation.text == "2" and preparation.state == "running"
+    preparation.advance()
+    assert preparation.text == "5"
+
+
+@pytest.mark.parametrize("run", [lambda s: finish_stages(s), lambda s: Preparation(s).finish()])
+def test_errors_from_aside_arrive_where_they_were_asked_for(run):
+    def fail():
+        raise TargetError("A", "is bad")
+
+    def mending():
+        with pytest.raises(TargetError):
+            yield Aside("Apart", once(fail))
+
+    run(mending())
+
+    def not_mending():
+        yield Aside("Apart", once(fail))
+
+    with pytest.raises(TargetError):
+        run(not_mending())
+    preparation = Preparation(not_mending())
+    until(lambda: preparation.state != "running", preparation)
+    assert preparation.state == "failed" and isinstance(preparation.error, TargetError)
+
+
+def test_stop_ends_the_thread_between_steps_and_takes_back():
+    undone = []
+
+    def endless():
+        while True:
+            time.sleep(0.001)
+            yield 0.5
+
+    def stages():
+        try:
+            yield Aside("Apart", endless())
+        finally:
+            undone.append(threading.current_thread())
+
+    preparation = Preparation(stages())
+    preparation.advance()
+    until(lambda: preparation.fraction == 0.5, preparation)
+    assert preparation.stop() and preparation.state == "dropped" and undone == [threading.main_thread()]
+    assert not [t for t in threading.enumerate() if t.name == "adjoint_gi_preparation"]
+
+
+# ---- the job
+
+
+@pytest.fixture
+def scene(registered):
+    square()
+    square("Second")
+    bpy.context.scene.world = bpy.data.worlds.new("Lit")
+    bpy.context.scene.world.color = (1.0, 1.0, 1.0)
+    bpy.ops.ed.undo_push(message="Start")
+    yield bpy.context.scene
+    BAKES.forget()
+
+
+class Gate:
+    """Holds back the unwrapping until it is opened."""
+
+    def __init__(self, monkeypatch):
+        self.open, self.threads = threading.Event(), []
+        whole = textures.unwrapping_to_density
+
+        def waiting(*arguments):
+            self.threads.append(threading.current_thread())
+            while not self.open.is_set():
+                time.sleep(0.002)
+                yield 0.25
+            return (yield from whole(*arguments))
+
+        monkeypatch.setattr(textures, "unwrapping_to_density", waiting)
+
+
+def layers():
+    return {o.name: [layer.name for layer in o.data.uv_layers] for o in bpy.data.objects if o.type == "MESH"}
+
+
+@pytest.fixture
+def held(scene, monkeypatch):
+    """A bake that is being prepared, and its gate."""
+    gate = Gate(monkeypatch)
+    job = BAKES.start(bpy.context, request(values={"samples": 2}, resolution=16))
+    until(lambda: job.driver.text == "Unwrapping" and gate.threads and job.driver.fraction > 0)
+    assert job.active and job.preparing and background.busy() and gate.threads[0] is not threading.main_thread()
+    return job, gate
+
+
+def test_a_bake_is_prepared_in_the_background_and_ends_as_one_in_the_foreground(held):
+    job, gate = held
+    gate.open.set()
+    until(lambda: not job.active)
+    assert (job.state, job.notices) == ("finished", []) and all(own_layer(bpy.data.objects[name]) for name in layers())
+    found = job.bake.driver.solution().direct
+    assert (Bake(bpy.context, request(values={"samples": 2}, resolution=16)).driver.run().direct == found).all()
+
+
+def test_stop_while_it_is_prepared_changes_nothing(held):
+    job, gate = held
+    before = layers()
+    BAKES.stop()
+    assert job.state == "stopped" and not job.resumable and "before the solve began" in str(job.notices[0])
+    assert layers() == before and not gate.open.is_set()
+    assert not bpy.ops.adjoint_gi.resume.poll()
+
+
+@pytest.mark.parametrize("change", ["move", "delete", "edit", "modifier", "undo"])
+def test_a_scene_that_changes_meanwhile_is_refused(held, change):
+    job, gate = held
+    obj = bpy.data.objects["Second"]
+    if change == "move":
+        obj.location.x += 1
+    elif change == "delete":
+        bpy.data.objects.remove(obj)
+    elif change == "edit":
+        obj.data.vertices.add(1)
+    elif change == "modifier":
+        obj.modifiers.new("A", "SUBSURF")
+    else:
+        bpy.data.objects.remove(obj)
+        bpy.ops.ed.undo_push(message="Delete")
+    before = layers()
+    gate.open.set()
+    until(lambda: not job.active)
+    assert job.state == "failed" and "was changed while the bake was prepared" in str(job.notices[0])
+    assert layers() == before
+
+
+def test_an_undo_and_redo_that_leave_the_scene_as_it_was_do_no_harm(held):
+    job, gate = held
+    bpy.data.objects["Second"].location.x += 1
+    bpy.ops.ed.undo_push(message="Move")
+    bpy.ops.ed.undo()
+    gate.open.set()
+    until(lambda: not job.active)
+    assert job.state == "finished", job.notices
+
+
+def test_what_is_made_is_taken_back_where_the_bake_is_refused_later(scene, monkeypatch):
+    before = layers()
+
+    def fail(*_):
+        raise TargetError("Second", "cannot be placed", "Do something")
+
+    monkeypatch.setattr(textures, "rasterize", fail)
+    try:
+        job = BAKES.start(bpy.context, request(values={"samples": 2}, resolution=16))
+    except TargetError:  # a quick machine comes to it while Bake is pressed
+        assert not BAKES.running
+    else:
+        until(lambda: not job.active)
+        assert job.state == "failed" and "cannot be placed" in str(job.notices[0])
+    assert layers() == before
+
+
+def test_what_can_be_seen_at_once_refuses_at_once_and_keeps_the_last_job(scene):
+    job = BAKES.run(bpy.context, request(values={"samples": 1}, resolution=8), lambda fraction: None)
+    for wrong in ({"objects": ("Nobody",)}, {"resolution": 0}):
+        with pytest.raises(AdjointError):
+            BAKES.start(bpy.context, dataclasses.replace(request(values={"samples": 1}), **wrong))
+        assert BAKES.job is job
+
+
+def test_loading_a_file_ends_a_preparation(held):
+    job, _ = held
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    assert (BAKES.job, job.state) == (None, "cancelled")
+    assert not [t for t in threading.enumerate() if t.name == "adjoint_gi_preparation"]
+
+
+def test_world_and_texels_are_made_aside(scene, monkeypatch):
+    threads = []
+    world, rasterize = baking.World, textures.rasterize
+    monkeypatch.setattr(baking, "World", lambda arrays: threads.append(threading.current_thread()) or world(arrays))
+    monkeypatch.setattr(textures, "rasterize", lambda *a: threads.append(threading.current_thread()) or rasterize(*a))
+    job = BAKES.start(bpy.context, request(values={"samples": 1}, resolution=8))
+    until(lambda: not job.active)
+    assert len(threads) == 4 and threading.main_thread() not in threads
