@@ -5,7 +5,7 @@
 
 Builds `tests/room.py`, bakes it to one atlas by particle tracing, shows the result and saves the file; nothing is applied. Then a Blender
 with a window opens that file, without the extension, and its viewport is taken; and Cycles renders the room as it was before. Needs a
-Python with the bpy wheel that is no newer than that Blender, and Pillow.
+Python with the bpy wheel that is no newer than that Blender, which must be ../shared/tools/real-blender: it has ImageMagick at hand.
 """
 
 from __future__ import annotations
@@ -100,9 +100,11 @@ def take_window(folder: Path, blender: str) -> None:
     if frame is None:
         sys.exit(f"the window gave no picture:\n{done.stdout}\n{done.stderr}")
     height, left, low, right, high = map(int, frame.split()[1:])
-    from PIL import Image
-
-    Image.open(shot).convert("RGB").crop((left, height - high, right, height - low)).resize(SIZE).save(folder / "window.png")
+    crop = f"{right - left}x{high - low}+{left}+{height - high}"
+    subprocess.run(
+        [blender, "--exec", "convert", str(shot), "-crop", crop, "+repage", "-resize", f"{SIZE[0]}x{SIZE[1]}!", str(folder / "window.png")],
+        check=True,
+    )
 
 
 def main() -> int:
@@ -117,6 +119,9 @@ def main() -> int:
     folder = arguments.folder or Path(tempfile.mkdtemp())
     bake_room(folder, arguments.samples, arguments.resolution)
     take_window(folder, arguments.blender)
+    pair = [str(folder / "window.png"), str(folder / "rendered.png")]
+    whole = str(arguments.out.resolve() / "baked_room.png")
+    subprocess.run([arguments.blender, "--exec", "convert", *pair, "+append", "-strip", "-colors", "256", whole], check=True)
     return 0
 
 
