@@ -11,6 +11,7 @@ from adjgi.tests import baking, room
 
 TEXELS, LENGTH = 128, 3
 SEEDS = 3
+DARK = 0.3  # W m-2; below, where a few paths to the sun's patch make all of the light, texels are compared with this
 COMPARED = ("Walls", "Planks", "Cupboard", "Stool Twin")
 
 
@@ -59,8 +60,8 @@ def test_texels_of_the_room_are_those_of_the_applied_meshes():
         error = np.sqrt((own.var(axis=0, ddof=1)[used] + theirs.var(axis=0, ddof=1)[used]) / SEEDS)
         lit = b.mean(axis=0) > 0
         difference, noise = a.mean() / b.mean() - 1, np.sqrt((error**2).sum()) / b.sum()
-        far = np.abs(a - b) > 5 * np.maximum(error, 0.1 * b.mean())
+        far = np.abs(a - b) > 5 * np.maximum(error, 0.1 * max(b.mean(), DARK))
         print(f"{name}: {used.sum()} texels, {100 * difference:+.1f} +- {100 * noise:.1f} %, {100 * far.mean():.1f} % far off")
         assert lit.all() and used.sum() > 20
-        assert abs(a.mean() - b.mean()) < 0.02 * b.mean() + 3 * noise * b.mean() + 0.01, "the mean of the room is about 1"
+        assert abs(a.mean() - b.mean()) < 0.02 * b.mean() + 3 * noise * b.mean() + 0.1 * DARK
         assert far.mean() < 0.03
