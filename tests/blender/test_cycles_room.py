@@ -64,4 +64,4 @@ def test_texels_of_the_room_are_those_of_the_applied_meshes():
         print(f"{name}: {used.sum()} texels, {100 * difference:+.1f} +- {100 * noise:.1f} %, {100 * far.mean():.1f} % far off")
         assert lit.all() and used.sum() > 20
         assert abs(a.mean() - b.mean()) < 0.02 * b.mean() + 3 * noise * b.mean() + 0.1 * DARK
-        assert far.mean() < 0.03
+        assert far.any(axis=1).sum() <= max(1, 0.03 * len(far)), "one may be a firefly"
