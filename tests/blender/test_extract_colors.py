@@ -455,3 +455,26 @@ def test_other_coordinates_give_the_mean(case):
     pixels = np.array(image.image.pixels[:]).reshape(-1, 4)
     np.testing.assert_allclose(arrays.materials[0].total("emission").constant, pixels[:, :3].mean(axis=0), rtol=1e-5)
     assert any("mean of the image" in n.reason for n in arrays.warnings)
+
+
+def test_a_tinted_image_as_a_number_is_its_luminance():
+    g = Graph()
+    tint = g.add("ShaderNodeMixRGB", blend_type="MULTIPLY")
+    tint.inputs[0].default_value, tint.inputs[2].default_value = 1.0, (0.9, 0.1, 0.5, 1.0)
+    g.link(g.image(interpolation="Closest").outputs["Color"], tint.inputs[1])
+    g.link(tint.outputs[0], g.emission.inputs["Strength"])
+    assert silent(both(g))
+
+
+def test_the_mean_of_alpha_stands_for_a_number_that_varies():
+    g = Graph()
+    image = g.image(pattern(alpha=True), interpolation="Closest")
+    shader = g.add("ShaderNodeBsdfAnisotropic" if hasattr(bpy.types, "ShaderNodeBsdfAnisotropic") else "ShaderNodeBsdfGlossy")
+    g.link(image.outputs["Alpha"], shader.inputs["Roughness"])
+    g.link(shader.outputs[0], g.tree.nodes["Material Output"].inputs["Surface"])
+    white_plane(2.0, g.material)
+    arrays = extract(bpy.context.evaluated_depsgraph_get())
+    pixels = np.empty(6 * 4 * 4, np.float32)
+    image.image.pixels.foreach_get(pixels)
+    assert arrays.materials[0].lobes[0].roughness == pytest.approx(pixels[3::4].mean(), abs=1e-5)
+    assert any("roughness varies" in n.reason for n in arrays.warnings)

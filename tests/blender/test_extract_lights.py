@@ -225,3 +225,30 @@ def test_only_lights_is_a_black_result_and_says_so():
     assert len(arrays.triangles) == 0 and len(arrays.lights) == 1
     assert any("no faces to receive" in n.reason for n in arrays.warnings)
     assert not any(n.severity == "error" for n in arrays.warnings)
+
+
+def test_a_spot_is_stretched_by_both_sides_of_its_object():
+    """Where the beam falls off along x and along y, against Cycles."""
+    white_plane()
+    add_light("SPOT", energy=100.0, shadow_soft_size=0.0, spot_size=0.8, spot_blend=0.9, scale=(1.0, 2.0, 1.5))
+    light = only_light()
+    assert light.spot_scale == pytest.approx((1 / 1.5, 2 / 1.5))
+    for at in ((0.3, 0.0), (0.0, 0.6)):
+        expected = expected_irradiance(light, at)
+        assert 0.1 < spot_factor(light, np.array((*at, 0.0)) - light.position) < 0.9
+        np.testing.assert_allclose(measured_irradiance(at, width=1e-4), expected, rtol=5e-3)
+
+
+def test_a_sheared_lamp_has_an_upright_frame():
+    """Its axis is where its object's matrix sends it, and the others stand at right angles to it."""
+    parent = bpy.data.objects.new("parent", None)
+    parent.scale = (3.0, 1.0, 1.0)
+    bpy.context.scene.collection.objects.link(parent)
+    lamp = add_light("AREA", rotation=(0.0, 0.6, 0.4), energy=10.0)
+    lamp.parent = parent
+    bpy.context.view_layer.update()
+    light = only_light()
+    frame = np.array([light.axis_x, light.axis_y, light.axis_z])
+    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-6)
+    axis = np.array(lamp.matrix_world)[:3, 2]
+    np.testing.assert_allclose(frame[2], axis / np.linalg.norm(axis), atol=1e-6)

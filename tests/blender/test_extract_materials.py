@@ -482,3 +482,12 @@ def test_one_material_is_read_once():
     for _ in range(3):
         white_plane(2.0, material)
     assert len(extract(bpy.context.evaluated_depsgraph_get()).materials) == 1
+
+
+@pytest.mark.parametrize("ior", [0.8, 1.0 / 1.5])
+def test_principled_specular_level_keeps_the_side_of_an_index_below_one(ior):
+    """The reflectance at normal incidence is twice that of the index, which stays below 1."""
+    lobes, _ = lobes_of(principled(IOR=ior, Specular_IOR_Level=1.0))
+    adjusted = lobes["specular"].ior
+    assert adjusted < 1
+    assert ((adjusted - 1) / (adjusted + 1)) ** 2 == pytest.approx(2 * ((ior - 1) / (ior + 1)) ** 2, rel=1e-5)

@@ -389,3 +389,17 @@ def test_wrong_plans_are_refused(wrong):
 
 def test_every_state_has_words():
     assert {"finished", "budget", "reached", "limit", "partial"} == set(comparison.STATES)
+
+
+def test_the_noise_of_a_reference_is_half_of_what_its_halves_differ_by(methods, place):
+    """Both halves are off by noise of the same size: where its signs differ they cancel in the mean, and that size is the estimate."""
+
+    def reference(differ):
+        signs = [[np.random.default_rng(seed + 1_000_003 * half).choice((-1, 1)) for half in (1, 2)] for seed in range(100)]
+        seed = next(seed for seed, (a, b) in enumerate(signs) if (a != b) == differ)
+        plan = Plan(("exact",), Budget("time", 0.04), "counting", 0.4, {"counting": CountSettings(seed=seed)}, repeats=0)
+        return compare(place, plan).reference
+
+    alike, apart = reference(False), reference(True)
+    assert alike.noise == 0 and np.allclose(apart.values, 1)
+    assert apart.noise == pytest.approx(np.abs(alike.values - 1).mean(), rel=0.05)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.flux.density import FULL_IMAGES, LEAST, given, own_resolutions, seen, weights
+from adjgi.adjoint_gi.core.flux.density import FULL_IMAGES, LEAST, _from_inside, given, own_resolutions, seen, weights
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.arrays import Camera
 from adjgi.adjoint_gi.core.scene.world import World
@@ -99,3 +99,14 @@ def test_images_of_many_objects_follow_their_size():
 
 def test_images_of_a_resolution_below_the_smallest_keep_it():
     assert np.all(own_resolutions(np.ones(40), 8) == 8)
+
+
+def test_particles_leave_each_object_by_the_root_of_its_area():
+    b = SceneBuilder()
+    b.quad("Small", (0, 0, 0), (1, 0, 0), (0, 1, 0), WHITE)
+    b.quad("Large", (10, 0, 0), (4, 0, 0), (0, 4, 0), WHITE)
+    world = World(b.build())
+    start = _from_inside(world, 20_000, np.random.default_rng(1))
+    small = (start.origin[:, 0] + world.center[0] < 5).mean()
+    assert small == pytest.approx(1 / 5, abs=0.012)  # four standard errors
+    assert start.weight.sum(axis=0, dtype=float) == pytest.approx(1)

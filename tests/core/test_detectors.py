@@ -130,3 +130,24 @@ def test_a_scene_without_light_has_no_flux():
     detect = detectors.detector(world, "objects", "Cube -z")
     flux = detectors.flux_by_particles(world, detect, 1000, 64, np.random.default_rng(3))
     assert not flux.value.any() and not flux.error.any()
+
+
+def test_the_far_plane_lies_as_far_from_the_camera_with_a_near_one():
+    """Rays start at the near plane: their reach is what is left from there."""
+    for end, seen in ((1.9, False), (2.1, True)):
+        detect = detectors.CameraDetector(wall(view(clip_start=1.0, clip_end=end)))
+        assert detect.on_elements(Elements(detect.world, max_edge=1.0)).any() == seen
+        particles = detect.particles(1000, np.random.default_rng(1))
+        np.testing.assert_allclose(particles.origin[:, 1] + particles.reach * particles.direction[:, 1], end - 2, rtol=1e-5)
+
+
+def test_the_error_of_a_flux_by_particles_is_the_spread_of_repeats():
+    b = SceneBuilder()
+    b.quad("Floor", (-0.5, -0.5, 0), (1, 0, 0), (0, 1, 0), diffuse("Floor", 0.8))
+    b.light(Light("Lamp", "point", (1.0, 1.0, 1.0), (0.0, 0.0, 0.7)))
+    world = World(b.build())
+    detect = detectors.detector(world, "objects", "Floor")
+    found = [detectors.flux_by_particles(world, detect, 1600, 2, np.random.default_rng(k)) for k in range(40)]
+    spread = np.std([f.value[1, 0] for f in found], ddof=1)
+    stated = math.sqrt(np.mean([f.error[1, 0] ** 2 for f in found]))
+    assert stated == pytest.approx(spread, rel=0.4)

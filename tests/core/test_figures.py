@@ -129,3 +129,11 @@ def test_drawing_beyond_the_border_is_cut():
     canvas.line(np.array([[-10.0, 5.0], [30.0, 5.0]]), (1, 0, 0), 3)
     canvas.text(-20, -3, "HELLO WORLD", (0, 0, 0), 2)
     assert canvas.pixels.shape == (10, 20, 3) and near(canvas.pixels, WHITE).any()
+
+
+def test_exposure_looks_at_the_brightest_colour():
+    assert figures.exposure_for(np.full((8, 8, 3), (5.0, 0.5, 0.0))) == pytest.approx(0.18)
+    # A few pixels that are brighter than all others do not darken the picture.
+    x = np.full((10, 10, 3), 2.0)
+    x[0, 0] = 1000.0
+    assert figures.exposure_for(x) == pytest.approx(0.45)

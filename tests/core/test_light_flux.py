@@ -88,3 +88,13 @@ def test_particles_carry_what_is_emitted(case):
     assert ends.emitted_energy == pytest.approx(3 * emitted, rel=0.02)
     assert first == pytest.approx(3 * entering, rel=0.02)
     assert ends.emitted_energy == pytest.approx(ends.absorbed_energy + ends.escaped_energy + ends.cut_energy, rel=1e-6)
+
+
+def test_a_soft_lamp_lights_nothing_where_its_disk_is_out_of_the_way():
+    """Its rays begin to light at a distance; what enters is what particles bring to a sheet that reaches into the lamp."""
+    lamp = Light("Soft", "point", WHITE, (0.5, 0.5, 0.15), radius=0.4, soft_falloff=True)
+    world = World(lit(sheet(), lamp).build())
+    met = []
+    walk(world, Emission(world).draw(50_000, np.random.default_rng(0)), 1, np.random.default_rng(1), met.append)
+    first = sum(float(h.arriving.sum(dtype=float)) for h in met)
+    assert Emitters(world).flux.entering == pytest.approx(first, rel=0.02)

@@ -49,3 +49,16 @@ def test_nothing_covered_leaves_everything():
     image = np.full((3, 3, 3), 5, np.float32)
     out, source = fill_margin(image, np.zeros((3, 3), bool), 4)
     assert np.array_equal(out, image) and np.all(source == -1)
+
+
+def test_ties_go_to_the_lower_and_to_the_left_texel():
+    covered = np.zeros((5, 5), bool)
+    covered[2, [0, 4]] = True
+    assert fill_margin(np.zeros((5, 5, 1), np.float32), covered, 3)[1][2, 2] == 10
+    covered = np.zeros((5, 5), bool)
+    covered[[0, 4], 2] = True
+    assert fill_margin(np.zeros((5, 5, 1), np.float32), covered, 3)[1][2, 2] == 2
+    # A texel of the same row comes before those above and below.
+    covered[:] = False
+    covered[[0, 2], [2, 4]] = True
+    assert fill_margin(np.zeros((5, 5, 1), np.float32), covered, 3)[1][2, 2] == 14

@@ -105,3 +105,21 @@ def test_rounding_of_normals_does_not_split_a_smooth_surface():
 def test_wrong_domain_is_refused():
     with pytest.raises(TargetError, match="POINT or CORNER"):
         vertex_receivers(world_of((CUBE, TRIANGLES, None)), [0], "FACE")
+
+
+def test_points_of_uneven_triangles_lie_on_arcs_about_the_corner():
+    """At INSET times the height above the opposite edge, one in the middle of each equal part of the angle."""
+    corners = np.array([(0, 0, 0), (1, 0, 0), (0.4, 3, 0)], float)
+    world = world_of((corners, np.array([[0, 1, 2]]), None))
+    m = vertex_receivers(world, [0], "POINT")
+    r = m.receivers
+    where = world.surface(r.triangle, r.u, r.v).position + world.center
+    for i in range(3):
+        some = where[r.start[m.index[0][i]] : r.start[m.index[0][i] + 1]] - corners[i]
+        to1, to2 = corners[(i + 1) % 3] - corners[i], corners[(i + 2) % 3] - corners[i]
+        height = np.linalg.norm(np.cross(to1, to2)) / np.linalg.norm(to2 - to1)
+        np.testing.assert_allclose(np.linalg.norm(some, axis=1), INSET * height, rtol=1e-4)
+        length = [np.linalg.norm(x) for x in (to1, to2)]
+        whole = np.arccos(to1 @ to2 / (length[0] * length[1]))
+        turn = np.arccos(some @ to1 / (np.linalg.norm(some, axis=1) * length[0]))
+        np.testing.assert_allclose(turn, whole * (np.arange(len(some)) + 0.5) / len(some), atol=2e-3)
