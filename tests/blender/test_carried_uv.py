@@ -275,6 +275,7 @@ def per_metre(made, name):
 
 def test_texels_a_metre_are_what_is_asked_for_and_images_as_large_as_that_needs(registered):
     small, large = box("Small", "ARRAY"), box("Large")
+    small.modifiers["Array"].relative_offset_displace = (2, 0, 0)  # faces that touch have no texels
     large.scale, large.location = (3, 3, 3), (5, 0, 0)
     bpy.context.view_layer.update()
     ask = {"values": {"samples": 1}, "resolution": 512, "texels_per_metre": 20.0}

@@ -184,14 +184,14 @@ class World:
             return self.occluded(origin, direction, distance, kind), None
         share = np.ones((len(origin), 3), np.float32)
         hit = tuple(np.array(a) for a in self.intersect(origin, direction, kind))
-        rows = np.flatnonzero(hit[3] < distance)
+        rows = np.flatnonzero((hit[0] >= 0) & (hit[3] < distance))
         for _ in range(MOST_LAYERS):
             share[rows] *= self.passing.through(*(a[rows] for a in hit[:3]))
             rows = rows[share[rows].max(axis=1) > 0]
             if not len(rows):
                 break
             self.onward(origin, direction, kind, hit, rows)
-            rows = rows[hit[3][rows] < distance[rows]]
+            rows = rows[(hit[0][rows] >= 0) & (hit[3][rows] < distance[rows])]
         share[rows] = 0
         return share.max(axis=1) <= 0, share
 
