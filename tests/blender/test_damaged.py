@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import bpy
 import pytest
-from adjgi.adjoint_gi.bridge.baking.bake import preflight
+from adjgi.adjoint_gi.bridge.baking.bake import preflight, rehearse
 from adjgi.adjoint_gi.bridge.results import attribute, image, lightmap_uv, links, preview, show, stored
 from adjgi.adjoint_gi.bridge.results.remove import remove_results
 from adjgi.tests import baking
 from adjgi.tests.cycles_patch import add_light, diffuse_material
 from adjgi.tests.hostile import SQUARE, mesh
 
+NOTED = (stored.UV, stored.SHARED, stored.FACES, stored.ASKED)  # of a lightmap layer
 WRONG = (
     *(1, 0, 2.5, "x", "[1]", '[{"name": 3}]', [1, 2], {}, {"a": 1}, {"irradiance": 3}, {"owner": 1, "irradiance": {"owner": "floor"}}),
     *({"irradiance": '[{"name": "a", "wanted": "b"}]'}, {"irradiance": {"owner": "floor", "image": 5}}),
@@ -63,6 +64,25 @@ def test_anything_under_the_names_of_our_properties_is_met(value, registered, tm
     remove_results(bpy.context.scene)
     assert not stored.damaged()
     assert not obj.data.uv_layers and not obj.data.color_attributes and obj.material_slots[0].material.name == "grey"
+
+
+@pytest.mark.parametrize("value", (1, "x", [1, 2], {"a": [1]}), ids=repr)
+def test_a_check_puts_back_what_it_found_damaged(value, registered):
+    """So that the bake after it says the same; also where the check makes a layer that is carried, and where several lie in one square."""
+    floor()
+    mesh(*SQUARE, name="thick").modifiers.new("Solidify", "SOLIDIFY")
+    owners = [*bpy.data.meshes, *bpy.data.objects]
+    for owner in owners:
+        for name in NOTED:
+            owner[name] = value
+    before = stored.damaged()
+    assert before
+    for atlas in (False, True):
+        said = rehearse(bpy.context, baking.request(resolution=16, atlas=atlas, values={"samples": 1}))
+        assert [n for n in said if "counts as absent" in n.reason] and not [n for n in said if n.severity == "error"]
+        assert stored.damaged() == before
+        assert all(getattr(owner[name], "to_dict", getattr(owner[name], "to_list", lambda v=owner[name]: v))() == value
+                   for owner in owners for name in NOTED)  # fmt: skip
 
 
 def test_what_a_bake_stores_is_not_damaged(registered):

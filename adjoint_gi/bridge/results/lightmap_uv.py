@@ -14,6 +14,7 @@ import contextlib
 import zlib
 from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import numpy as np
@@ -26,6 +27,7 @@ from .faces import MeshFaces, read_faces
 from .stored import ASKED, FACES, SHARED
 
 STORED = stored.UV  # custom property of the mesh: name of the layer made by us
+NOTED = (STORED, SHARED, FACES, ASKED)  # all that is noted of such a layer
 NAME = "Lightmap"  # what such a layer is called where nothing else is
 MOST = 8  # UV layers of a Blender mesh
 
@@ -271,7 +273,7 @@ def _remove_from_mesh(obj: bpy.types.Object, going: Set[bpy.types.Object] = froz
             mesh.uv_layers.active = mesh.uv_layers[active]
         if render in mesh.uv_layers:
             mesh.uv_layers[render].active_render = True
-    for key in (STORED, SHARED, FACES, ASKED):
+    for key in NOTED:
         if key in mesh:
             del mesh[key]
     return True
@@ -320,7 +322,7 @@ def _snapshot(obj: bpy.types.Object) -> Callable[[], None]:
     name, before = carried.layer_name(obj), carried.carried(obj)
     layer = _on_mesh(obj.data)
     uv = layer_values(obj, layer) if layer else None
-    marks = {key: marked(obj)[key] for key in (SHARED, FACES, ASKED) if key in marked(obj)}
+    beside, on_mesh = _marks(marked(obj)), _marks(obj.data)  # whatever they hold: what is damaged is put back, too
 
     def restore() -> None:
         remove_lightmap_uv(obj)
@@ -328,10 +330,17 @@ def _snapshot(obj: bpy.types.Object) -> Callable[[], None]:
             carried.carry(obj, name, *before)
         elif uv is not None:
             _write_layer(obj, layer, uv)
-        for key, value in marks.items():
-            marked(obj)[key] = value
+        for owner, values in ((marked(obj), beside), (obj.data, on_mesh)):
+            for key, value in values.items():
+                owner[key] = value
 
     return restore
+
+
+def _marks(owner: bpy.types.ID) -> dict[str, Any]:
+    """What is noted on `owner` of our layer; groups and arrays as copies, since what Blender hands out ends with the property."""
+    values = {key: owner[key] for key in NOTED if key in owner}
+    return {k: v.to_dict() if hasattr(v, "to_dict") else v.to_list() if hasattr(v, "to_list") else v for k, v in values.items()}
 
 
 def _mark_shared(objects: Sequence[bpy.types.Object], unwrapped: Unwrapped) -> None:
