@@ -403,3 +403,15 @@ def test_the_noise_of_a_reference_is_half_of_what_its_halves_differ_by(methods, 
     alike, apart = reference(False), reference(True)
     assert alike.noise == 0 and np.allclose(apart.values, 1)
     assert apart.noise == pytest.approx(np.abs(alike.values - 1).mean(), rel=0.05)
+
+
+def test_repeats_share_what_is_left_after_the_first_pass():
+    assert Budget("rays", 1000.0).scaled(0.25, rays=200).value == pytest.approx(400)
+    assert Budget("time", 10.0).scaled(0.25, seconds=2.0).seconds == pytest.approx(4)
+    assert Budget("rays", 100.0).scaled(0.25, rays=200).value == pytest.approx(200)
+
+
+def test_a_budget_of_rays_bounds_the_samples(methods, place):
+    """Twice the steps that cast as many rays, as a power of two; time enough for many more."""
+    *_, found = effort.with_effort(Counting(), *place, CountSettings(samples=40), Budget("rays", 5 * RAYS, 100.0))
+    assert found.settings.samples == 16 and found.endless

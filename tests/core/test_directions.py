@@ -7,6 +7,7 @@ import pytest
 from adjgi.adjoint_gi.core.bsdf import table as bsdf
 from adjgi.adjoint_gi.core.bsdf.lobes import LOBE_KINDS
 from adjgi.adjoint_gi.core.directional.bins import Bins, frames
+from adjgi.adjoint_gi.core.directional.harmonics import HemisphereHarmonics
 from adjgi.adjoint_gi.core.directional.pairs import pairs
 from adjgi.adjoint_gi.core.directional.rays import DirectionalRays
 from adjgi.adjoint_gi.core.directional.scattering import Scattering
@@ -234,3 +235,12 @@ def test_means_of_the_shared_scene_helpers_are_two_sided():
     assert not s.shiny.any()
     out = s.apply(np.ones((2 * elements.count, 8, 3)))
     assert np.allclose(out, np.repeat(elements.albedo, 2, axis=0)[:, None], atol=1e-12)
+
+
+@pytest.mark.parametrize("basis", [Bins(6, 4), HemisphereHarmonics(4)], ids=["bins", "harmonics"])
+def test_dimming_by_a_curve_is_the_flux_of_that_radiance(basis):
+    """2 pi int f(c) c dc: pi for the constant 1, 2/3 pi for the cosine, pi / 2 for its square."""
+    for power, flux in ((0, np.pi), (1, 2 / 3 * np.pi), (2, np.pi / 2)):
+        found = basis.dimming(lambda c, power=power: c**power)
+        assert basis.exitance(np.repeat(found[None, :, None], 3, axis=2)) == pytest.approx(np.full((1, 3), flux), rel=2e-3)
+    assert basis.dimming(np.ones_like) == pytest.approx(basis.constant(), abs=1e-9)

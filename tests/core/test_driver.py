@@ -157,12 +157,17 @@ def test_stop_from_on_step_at_the_start_the_middle_and_the_end(world, steps):
 
 def test_interrupt_signal_stops_between_two_steps(world):
     before = signal.getsignal(signal.SIGINT)
-    solver = Counting(0.02)
-    timer = threading.Timer(0.15, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
+    slept = []
+
+    def sleep(_):
+        slept.append(solver.inside)
+        if len(slept) == STEPS // 2:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    solver = Counting(0, sleep=sleep)
     d = driver(world, solver)
     result = d.run()
-    timer.join()
+    assert len(slept) == STEPS // 2 and slept[-1] and result.rays == 10 * len(slept)
     assert d.state == "stopped" and result.partial and not solver.closed
     assert signal.getsignal(signal.SIGINT) is before
 
@@ -243,3 +248,10 @@ def test_memory_is_refused_before_the_start(world, monkeypatch):
 def test_sizes_in_words():
     assert [resources.size_text(n) for n in (12, 1500, 123456, 2.5e9, 3e13)] == ["12 B", "1.5 kB", "123 kB", "2.5 GB", "30,000 GB"]
     assert resources.available_memory() > 0 and resources.peak_memory() > 0
+
+
+def test_the_time_left_is_that_of_the_share_that_is_not_done(world):
+    d = driver(world, Counting(0))
+    d._spent = 30.0
+    for d.fraction, left in ((0.25, 90.0), (0.75, 10.0), (0.0, None)):
+        assert d.seconds_left == left

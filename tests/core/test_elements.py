@@ -7,7 +7,7 @@ import pytest
 from adjgi.adjoint_gi.core.base.errors import MemoryRefused
 from adjgi.adjoint_gi.core.elements.answer import ElementAnswer
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements, parallelograms
-from adjgi.adjoint_gi.core.elements.refinement import RefinedElements, contrast, over_base, smoothed
+from adjgi.adjoint_gi.core.elements.refinement import RefinedElements, contrast, longest_edge, over_base, smoothed
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material, RayKind, Source, Term, Texture
@@ -347,3 +347,41 @@ def test_contrast_is_high_at_a_step_and_none_where_light_is_even():
     change = contrast(elements, light)
     near = np.abs(elements.centroid[:, 0]) < 0.1
     assert (change[near] > 0.4).all() and (change[~near] < 1e-6).all()
+
+
+def two_quads(second, edge):
+    """Elements of a square of side 1 and a rectangle of `second` x 1 beside it."""
+    b = SceneBuilder()
+    b.quad("Left", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
+    b.quad("Right", (1, 0, 0), (second, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
+    return Elements(World(b.build()), edge)
+
+
+def values_at(elements, x, values):
+    """(k,) node values of the fronts at `x`, from `values` (2 count,) of the sides."""
+    nodes = elements.nodes
+    at = np.abs(nodes.position[:, 0] + elements.world.center[0] - x) < 1e-6
+    return nodes.values(values[:, None])[::2, 0][at]
+
+
+def test_nodes_are_means_by_area():
+    elements = two_quads(3.0, 5.0)
+    assert elements.count == 2
+    values = np.repeat(np.where(elements.area > 2, 5.0, 1.0), 2)
+    np.testing.assert_allclose(values_at(elements, 1.0, values), (1 * 1 + 5 * 3) / 4, rtol=1e-6)
+
+
+def test_nodes_of_refined_elements_follow_the_smaller_ones():
+    """Weights fall with an element's width: a corner between a square and a quarter of one is two thirds of the quarter's."""
+    elements = two_quads(1.0, 5.0)
+    middle = elements.position(np.arange(2), np.full(2, 0.5), np.full(2, 0.5))[:, 0] + elements.world.center[0]
+    fine = RefinedElements(elements, middle > 1)
+    values = np.repeat((fine.area < 0.5).astype(float), 2)
+    found = values_at(fine, 1.0, values)
+    # The two ends of the edge, and its middle, which hangs in the longer edge.
+    np.testing.assert_allclose(found, 2 / 3, rtol=1e-6)
+
+
+def test_the_longest_edge_is_the_longest():
+    elements = two_quads(3.0, 5.0)
+    np.testing.assert_allclose(np.sort(longest_edge(elements)), [1, 3], rtol=1e-6)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.images import exr
@@ -83,3 +85,23 @@ def test_pictures_are_the_same_with_and_without_the_wheel(tmp_path, monkeypatch)
         assert exr.is_ours(path) and metadata == {"method": "x"}
         np.testing.assert_array_equal(layers[""], image)
         np.testing.assert_array_equal(layers["depth"][..., 0], layer)
+
+
+def test_windows_that_do_not_begin_at_zero(tmp_path):
+    """Other programs crop: the numbers of the scanlines are those of the window."""
+    made = {"R": np.arange(40 * 3, dtype=np.float32).reshape(40, 3)}
+    path = tmp_path / "x.exr"
+    exr.write_numpy(path, made, {})
+    data = bytearray(path.read_bytes())
+    name = b"dataWindow\0box2i\0" + struct.pack("<i", 16)
+    at = data.index(name) + len(name)
+    assert struct.unpack_from("<4i", data, at) == (0, 0, 2, 39)
+    struct.pack_into("<4i", data, at, 5, -7, 7, 32)
+    table = exr._attributes(bytes(data))[1]
+    for offset in struct.unpack_from("<3q", data, table):
+        (y,) = struct.unpack_from("<i", data, offset)
+        struct.pack_into("<i", data, offset, y - 7)
+    path.write_bytes(data)
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        assert np.array_equal(file.channels()["R"].pixels, made["R"])
+    assert np.array_equal(exr.read_numpy(path)[0]["R"], made["R"])

@@ -170,3 +170,13 @@ def test_projected_lobes_come_closer_with_the_order():
         errors.append(np.sqrt(weight @ (w[:, 2] * (got - exact) ** 2)))
     assert errors[3] < errors[2] < errors[1] < errors[0]
     assert errors[3] < 0.2 * errors[0]
+
+
+def test_windows_damp_bands_by_lanczos_and_keep_the_flux():
+    for window in (0.0, 1.0, 2.0):
+        basis = HemisphereHarmonics(4, window)
+        damp = basis._window
+        for band in range(1, 5):
+            at = np.flatnonzero(basis.l == band)
+            assert np.diag(damp)[at] == pytest.approx(np.sinc(band / 5) ** window)
+        assert basis.flux @ damp == pytest.approx(basis.flux)

@@ -12,6 +12,7 @@ from adjgi.adjoint_gi.core.sampling.maps import columns
 from adjgi.adjoint_gi.core.scene.arrays import Light, RayKind
 from adjgi.adjoint_gi.core.scene.faces import Faces
 from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.tests import scenes
 from adjgi.tests.solving import quad_points, solve
 
 N = 60_000
@@ -142,3 +143,13 @@ def test_an_emitter_does_not_hide_itself(distance):
     u = np.full(4000, 0.3, np.float32)
     found, _ = direct_irradiance(world, Emitters(world), world.surface(np.zeros(4000, np.int32), u, u), 1, np.random.default_rng(0))
     assert found.mean() == pytest.approx(0.01, rel=0.01)
+
+
+def test_shadow_rays_end_before_the_face_that_they_look_at():
+    """By its clearance along its normal, whatever the angle at which it is met."""
+    world = World(scenes.room())
+    triangle = np.zeros(4, np.int32)
+    distance, cosine = np.full(4, 5.0, np.float32), np.array([1.0, 0.5, 0.1, 0.01], np.float32)
+    height = (distance - world.short_of(distance, triangle, cosine)).astype(float) * cosine
+    assert (height > 0.99 * world.offset[0]).all()
+    np.testing.assert_allclose(height, height[0], rtol=0.02)

@@ -327,3 +327,11 @@ def test_threads_do_not_change_rays(monkeypatch):
         monkeypatch.setenv("ADJOINT_GI_THREADS", threads)
         results.append(RayTransport.cast(ElementRays(elements), 100).target)
     assert np.array_equal(*results)
+
+
+def test_the_residual_is_a_mean_by_area():
+    """Two sides of areas 1 and 3, of which only the large one gets light, and then only the small one."""
+    transport = MatrixTransport(np.array([1.0, 3.0]), np.full((2, 3), 0.5), np.array([[0.0, 0.3], [0.1, 0.0]]))
+    first, second, *_ = jacobi(transport, np.zeros((2, 3)), np.array([[0.0] * 3, [1.0] * 3]), 0.0, 2)
+    assert first.residual == 1
+    assert second.residual == pytest.approx(0.15 / (3 + 0.15))

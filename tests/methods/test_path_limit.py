@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.settings import NO_LIMIT
 from adjgi.adjoint_gi.core.method.registry import methods
+from adjgi.adjoint_gi.core.method.solution import EnergyBalance
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks import path_limit, paths
 from adjgi.tests import scenes
@@ -85,3 +86,9 @@ def test_blocks_are_the_last_lengths_that_count():
     light = 0.5 ** np.arange(8.0)
     tail = np.array([light[4:6].sum(), light[6:].sum()])
     assert path_limit.left_out(tail, light.sum()) == pytest.approx(0.5**8)
+
+
+def test_what_is_unshot_is_a_share_of_what_is_absorbed_in_the_end():
+    assert path_limit.left_unshot(EnergyBalance(10.0, 3.0, 6.0, 1.0), 5) == pytest.approx(0.25)
+    assert path_limit.left_unshot(EnergyBalance(10.0, 3.0, 6.0, 1.0), NO_LIMIT) == 0
+    assert path_limit.left_unshot(EnergyBalance(1.0, 0.0, 1.0), 5) is None
