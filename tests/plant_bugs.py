@@ -635,6 +635,62 @@ BUGS = (
         "self.share = np.ones(len(self.owner))",
         "tests/core/test_particle_density.py -k by_their_number",
     ),
+    Bug(
+        "the panel's mean counts what was not reached",
+        "adjoint_gi/bridge/props/records.py",
+        "solution.quantity(name)[got].mean(",
+        "solution.quantity(name).mean(",
+        "tests/blender/test_numbers_told.py -k panel",
+    ),
+    Bug(
+        "escaped and unshot flux exchanged in the panel",
+        "adjoint_gi/bridge/props/records.py",
+        "b.absorbed, b.escaped, b.unshot, b.gap",
+        "b.absorbed, b.unshot, b.escaped, b.gap",
+        "tests/blender/test_numbers_told.py -k panel",
+    ),
+    Bug(
+        "the report's means count what was not reached",
+        "adjoint_gi/bridge/baking/report.py",
+        "values[got].mean(axis=0",
+        "values.mean(axis=0",
+        "tests/blender/test_numbers_told.py -k report",
+    ),
+    Bug(
+        "rays a second are rays times seconds",
+        "adjoint_gi/bridge/baking/report.py",
+        "solution.rays / solution.seconds if",
+        "solution.rays * solution.seconds if",
+        "tests/blender/test_numbers_told.py -k report",
+    ),
+    Bug(
+        "depth is the distance along the ray",
+        "adjoint_gi/bridge/engine/passes.py",
+        "np.where(hit, points.distance, 0) * (points.towards @ forward)",
+        "np.where(hit, points.distance, 0) * np.float32(-1)",
+        "tests/blender/test_numbers_told.py -k depth",
+    ),
+    Bug(
+        "a transparent film takes out all of the background at an edge",
+        "adjoint_gi/bridge/engine/passes.py",
+        "(behind / rays[:, None]).astype",
+        "(behind / np.maximum(rays - hits, 1)[:, None]).astype",
+        "tests/blender/test_numbers_told.py -k film",
+    ),
+    Bug(
+        "a reference gets the time of one method",
+        "adjoint_gi/bridge/comparison/request.py",
+        "r.seconds or 4 * self.budget.seconds",
+        "r.seconds or self.budget.seconds",
+        "tests/blender/test_numbers_told.py -k four_times",
+    ),
+    Bug(
+        "lightmaps side by side stand upside down",
+        "adjoint_gi/bridge/comparison/request.py",
+        "(rows - 1 - i // columns) * (h + gap)",
+        "(i // columns) * (h + gap)",
+        "tests/blender/test_numbers_told.py -k reading_order",
+    ),
 )
 
 
