@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import threading
 import time
@@ -162,7 +161,7 @@ def test_interrupt_signal_stops_between_two_steps(world):
     def sleep(_):
         slept.append(solver.inside)
         if len(slept) == STEPS // 2:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)  # to this thread: others of the process might take one that is sent to it
 
     solver = Counting(0, sleep=sleep)
     d = driver(world, solver)
