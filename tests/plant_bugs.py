@@ -691,6 +691,62 @@ BUGS = (
         "(i // columns) * (h + gap)",
         "tests/blender/test_numbers_told.py -k reading_order",
     ),
+    Bug(
+        "the error of walks is that of one batch",
+        "adjoint_gi/core/flux/potential_walks.py",
+        "* batches / (batches - 1)",
+        "* batches**2 / (batches - 1)",
+        "tests/methods/test_potential.py -k of_walks_is",
+    ),
+    Bug(
+        "refinement may cut as many elements as it may add",
+        "adjoint_gi/core/radiosity/importance.py",
+        "room = max(0, GROWTH * self.base.count - self.elements.count) // 3",
+        "room = max(0, GROWTH * self.base.count - self.elements.count)",
+        "tests/methods/test_importance_refinement.py -k at_most",
+    ),
+    Bug(
+        "importance is a share of the mean over elements",
+        "adjoint_gi/core/radiosity/importance.py",
+        "float((elements.area * potential).sum() / elements.area.sum())",
+        "float(potential.mean())",
+        "tests/methods/test_importance_refinement.py -k share_of_the_mean",
+    ),
+    Bug(
+        "cached values in front of a point serve it",
+        "adjoint_gi/core/walks/irradiance_records.py",
+        "(error < self.accuracy) & ~ahead",
+        "(error < self.accuracy)",
+        "tests/methods/test_irradiance_cache.py -k index_finds",
+    ),
+    Bug(
+        "cached values weigh by what is left of the accuracy",
+        "adjoint_gi/core/walks/irradiance_records.py",
+        "(1 / np.maximum(error[good], np.float32(1e-4)))",
+        "(1 - error[good] / self.accuracy)",
+        "tests/methods/test_irradiance_cache.py -k index_finds",
+    ),
+    Bug(
+        "depth is a mean over rays that escape, too",
+        "adjoint_gi/core/receivers/film.py",
+        "depth / surface, np.inf",
+        "depth / np.maximum(sites, 1), np.inf",
+        "tests/core/test_film.py -k part_of",
+    ),
+    Bug(
+        "albedo of a pixel is that of what it sees a part of",
+        "adjoint_gi/core/receivers/film.py",
+        "(albedo / np.maximum(sites, 1)[:, None])",
+        "(albedo / np.maximum(solid, 1)[:, None])",
+        "tests/core/test_film.py -k part_of",
+    ),
+    Bug(
+        "the far plane counts from the near one",
+        "adjoint_gi/core/receivers/base.py",
+        "> self.camera.clip_end - self.camera.clip_start",
+        "> self.camera.clip_end",
+        "tests/core/test_film.py -k clipping",
+    ),
 )
 
 

@@ -91,3 +91,34 @@ def test_unknown_name_is_refused():
     world = World(scenes.cornell(8, 8))
     with pytest.raises(SettingsError, match="Nobody"):
         solve(world, CameraReceivers(world), adaptive=True, important="Nobody")
+
+
+def test_there_are_at_most_so_many_times_the_elements():
+    """Where all of a floor would be cut again and again, and nothing of what lies in its shadow."""
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
+    b.quad("Below", (0.2, 0.2, -0.01), (0.6, 0, 0), (0, 0.6, 0), diffuse("Grey", 0.5))
+    b.light(Light("Lamp", "point", (1.0, 1.0, 1.0), (0.3, 0.4, 0.2)))
+    world = World(b.build())
+    base, emitters = Elements(world, 0.34), Emitters(world)
+    light = LampLight(base, emitters, 1)
+    for _ in light.run():
+        pass
+    cut = adaptive.Subdivision(base, emitters, 1, 1e-9, 1e-4)
+    for _ in cut.run(light.irradiance):
+        pass
+    assert cut.full and 0.9 * adaptive.GROWTH * base.count < cut.elements.count <= adaptive.GROWTH * base.count
+
+
+def test_importance_is_a_share_of_the_mean_by_area():
+    """A large part of the scene that sees nothing of the receiver lowers the mean, and with it what counts in full."""
+    b = SceneBuilder()
+    b.quad("Lit", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
+    b.quad("Receiver", (0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse("Grey", 0.5))
+    b.quad("Away", (50, 0, 0), (4, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
+    world = World(b.build())
+    elements = Elements(world, 5.0)
+    weight = adaptive.importance(elements, detectors.detector(world, "objects", "Receiver"))
+    # Potential 1 + (rho F)^2 of the receiver, and rho F of the square at right angles to it; areas are 1, 1 and 4.
+    factor = 0.5 * 0.2
+    assert weight == pytest.approx([factor / ((1 + factor**2 + factor) / 6), 1, 0], rel=0.15)

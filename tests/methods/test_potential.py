@@ -10,6 +10,7 @@ import pytest
 from adjgi.adjoint_gi.core.base.errors import AdjointError, MemoryRefused
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
 from adjgi.adjoint_gi.core.flux.detectors import detector
+from adjgi.adjoint_gi.core.flux.potential_walks import _relative_error
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
@@ -314,3 +315,13 @@ def test_iterations_that_do_not_suffice_are_told():
     s = solve(world, receivers, receivers="objects", objects="Cube -z", rays=64, max_iterations=3, tolerance=1e-9)
     assert any("stopped after 3" in str(w) for w in s.warnings)
     assert len(s.history) == 3
+
+
+def test_the_error_of_walks_is_that_of_the_mean_of_their_batches():
+    """Root mean square over the sides by area, of the potential: power over area."""
+    rng = np.random.default_rng(5)
+    area, sums = rng.random(30) + 0.5, rng.normal(10, 2, (7, 3, 30, 3))
+    found = _relative_error(sums.sum(axis=0), (sums.sum(axis=(1, 3)) ** 2).sum(axis=0), 7, area)
+    each = sums.sum(axis=(1, 3)) / area
+    mean, variance = each.mean(axis=0), each.var(axis=0, ddof=1) / 7
+    assert found == pytest.approx(np.sqrt(area @ variance / (area @ mean**2)), rel=1e-9)
