@@ -747,6 +747,41 @@ BUGS = (
         "> self.camera.clip_end",
         "tests/core/test_film.py -k clipping",
     ),
+    Bug(
+        "the gap of a balance is a share of what is absorbed",
+        "adjoint_gi/core/method/solution.py",
+        "abs(lost) / self.emitted if self.emitted",
+        "abs(lost) / self.absorbed if self.emitted",
+        "tests/core/test_solution.py -k share_of",
+    ),
+    Bug(
+        "light that passes by does not escape",
+        "adjoint_gi/core/method/solution.py",
+        "escaped=self.escaped + flux)",
+        "escaped=self.escaped)",
+        "tests/core/test_solution.py -k share_of",
+    ),
+    Bug(
+        "radiosity without what is emitted",
+        "adjoint_gi/core/method/solution.py",
+        "return self.emitted + self.albedo * (self.direct + self.indirect)",
+        "return self.albedo * (self.direct + self.indirect)",
+        "tests/core/test_solution.py -k sums",
+    ),
+    Bug(
+        "the mesh of the elements shows their backs",
+        "adjoint_gi/core/elements/mesh.py",
+        "nodes.values(values)[2 * corners]",
+        "nodes.values(values)[2 * corners + 1]",
+        "tests/core/test_elements.py -k fronts",
+    ),
+    Bug(
+        "corners of triangles look past the middle",
+        "adjoint_gi/core/elements/mesh.py",
+        "np.where(elements.is_quad[element], 0.5, 1 / 3)",
+        "np.where(elements.is_quad[element], 0.5, 0.5)",
+        "tests/core/test_elements.py -k tenth_of",
+    ),
 )
 
 

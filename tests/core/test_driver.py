@@ -154,21 +154,28 @@ def test_stop_from_on_step_at_the_start_the_middle_and_the_end(world, steps):
     assert np.array_equal(d.solution().direct, driver(world, Counting(0)).run().direct)
 
 
-def test_interrupt_signal_stops_between_two_steps(world):
-    before = signal.getsignal(signal.SIGINT)
+@pytest.fixture
+def ctrl_c():
+    """Ctrl-C as in a terminal: a shell starts what runs in the background with its signal ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_interrupt_signal_stops_between_two_steps(world, ctrl_c):
     slept = []
 
     def sleep(_):
         slept.append(solver.inside)
         if len(slept) == STEPS // 2:
-            signal.raise_signal(signal.SIGINT)  # to this thread: others of the process might take one that is sent to it
+            signal.raise_signal(signal.SIGINT)
 
     solver = Counting(0, sleep=sleep)
     d = driver(world, solver)
     result = d.run()
     assert len(slept) == STEPS // 2 and slept[-1] and result.rays == 10 * len(slept)
     assert d.state == "stopped" and result.partial and not solver.closed
-    assert signal.getsignal(signal.SIGINT) is before
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_failure_keeps_the_last_partial_result(world):

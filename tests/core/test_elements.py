@@ -7,6 +7,7 @@ import pytest
 from adjgi.adjoint_gi.core.base.errors import MemoryRefused
 from adjgi.adjoint_gi.core.elements.answer import ElementAnswer
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements, parallelograms
+from adjgi.adjoint_gi.core.elements.mesh import INSET, ElementNodes, element_mesh
 from adjgi.adjoint_gi.core.elements.refinement import RefinedElements, contrast, longest_edge, over_base, smoothed
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
@@ -385,3 +386,20 @@ def test_nodes_of_refined_elements_follow_the_smaller_ones():
 def test_the_longest_edge_is_the_longest():
     elements = two_quads(3.0, 5.0)
     np.testing.assert_allclose(np.sort(longest_edge(elements)), [1, 3], rtol=1e-6)
+
+
+def test_the_mesh_of_the_elements_has_the_values_of_their_fronts():
+    elements = two_quads(2.0, 0.4)
+    mesh = element_mesh(elements, np.tile([[1.0], [2.0]], (elements.count, 1)))
+    assert (mesh.values == 1).all()
+
+
+def test_receivers_of_element_corners_lie_a_tenth_of_the_way_to_the_middle():
+    for scene in (scenes.cube(), scenes.two_zone_sphere(0)):
+        elements = Elements(World(scene), 0.6)
+        nodes = ElementNodes(elements, range(len(scene.objects)))
+        element, _, _ = elements.cell(nodes.triangle, nodes.u, nodes.v)
+        at = elements.world.surface(nodes.triangle, nodes.u, nodes.v).position + elements.world.center
+        corner = nodes.vertices[np.repeat(np.arange(nodes.count), np.diff(nodes.start))]
+        middle = elements.centroid[element] + elements.world.center
+        np.testing.assert_allclose(at, corner + INSET * (middle - corner), atol=1e-5)
