@@ -16,8 +16,8 @@ from . import text
 NARROW = 400  # pixels; a sidebar is less wide
 CRAMPED = 260  # pixels; names stand above their values
 OUTPUT = {  # what each target uses
-    "texture": ("target", "quantity", "selection_only", "resolution", "atlas", "uv_layer", "folder"),
-    "attribute": ("target", "quantity", "selection_only", "attribute", "domain", "new_object"),
+    "texture": ("target", "quantity", "selection_only", "instances", "resolution", "atlas", "uv_layer", "folder"),
+    "attribute": ("target", "quantity", "selection_only", "instances", "attribute", "domain", "new_object"),
     "render": ("target", "folder"),
 }
 ICONS = {"info": "INFO", "warning": "ERROR", "error": "CANCEL"}

@@ -163,6 +163,7 @@ class Trial:
     def __init__(self, seed: int, folder: Path) -> None:
         self.rng = random.Random(-1 - seed)
         self.folder = folder
+        self.instances = random.Random(seed).random() < 0.5  # apart from the others, so that each seed still tries what it tried
         self.target = self.rng.choice(("texture", "texture", "texture", "attribute", "attribute", "render"))
 
     def run(self) -> None:
@@ -206,6 +207,8 @@ class Trial:
         if self.target == "attribute":
             common += ["--domain", rng.choice(("POINT", "CORNER"))]
             common += ["--new-object"] if rng.random() < 0.2 else []
+        if self.target != "render" and self.instances:
+            common.append("--instances")
         meshes = [o.name for o in bpy.data.objects if o.type == "MESH"]
         if self.target != "render" and meshes and rng.random() < 0.2:
             common += ["--objects", *rng.sample(meshes, min(2, len(meshes)))]

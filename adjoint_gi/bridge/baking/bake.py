@@ -29,10 +29,12 @@ from ..extract.images import reading
 from ..host import files
 from ..host.preparation import Aside, Stages, finish_stages, once
 from ..props.request import BakeRequest, raise_first
+from ..results import real as reals
 from . import outputs
 from .attributes import AttributeWriter
+from .instances import Real, make, title
 from .picture import PictureWriter
-from .preflight import inspect, left_out, ordered, picture_size, preflight, receiving, resolve, target_objects
+from .preflight import checker, inspect, left_out, ordered, picture_size, preflight, receiving, resolve, target_objects
 from .textures import TextureWriter
 from .watch import fingerprint
 from .writer import Writer
@@ -73,7 +75,7 @@ class Bake:
         it is closed.
         """
         built = yield from building(self.request, said := [])
-        self._undo = built.undo
+        self._undo, self._real = built.undo, built.real
         self.request, self.writer, self.driver = built.writer.request, built.writer, built.driver
         self.notices = [n for n in ordered(said) if n.severity != "error"]
 
@@ -88,6 +90,7 @@ class Bake:
         `TargetError` or `WriteError`; where only the files failed, the datablocks are written all the same, and `written` names them.
         """
         self._undo.pop_all()
+        self._real.settle()
         live = self.driver.state == "running"
         wanted = not live and (self.request.output or self.writer.needs_folder)
         self.written, self.files, self.writer.notices = [], [], []
@@ -115,6 +118,7 @@ class Built:
     writer: Writer
     driver: Driver
     undo: contextlib.ExitStack
+    real: Real
 
 
 def building(request: BakeRequest, said: list[Notice]) -> Stages[Built]:
@@ -125,48 +129,57 @@ def building(request: BakeRequest, said: list[Notice]) -> Stages[Built]:
     told: list[Notice] = []
     while True:
         notices: list[Notice] = []
+        made: dict[str, str] = {}
         try:
-            built = yield from _attempting(request, notices)
+            built = yield from _attempting(request, notices, made)
         except (SceneError, TargetError) as error:
             context = bpy.context
             objects = [o.name for o in target_objects(context, request)] if request.target != "render" and not request.objects else []
-            if error.notice.object not in objects or len(objects) == 1:
+            name, objects = made.get(error.notice.object, error.notice.object), [*objects, *made.values()]
+            if request.objects or name not in objects or len(objects) == 1 or name in request.left_out:
                 said += [*told, *notices]
                 raise
             told.append(left_out(error.notice))
-            request = replace(request, left_out=(*request.left_out, error.notice.object))
+            request = replace(request, left_out=(*request.left_out, name))
             continue
         said += [*told, *notices]
         return built
 
 
-def _attempting(request: BakeRequest, said: list[Notice]) -> Stages[Built]:
-    """`building` for these objects; raises `AdjointError` when one of them cannot receive."""
+def _attempting(request: BakeRequest, said: list[Notice], names: dict[str, str]) -> Stages[Built]:
+    """`building` for these objects; raises `AdjointError` when one of them cannot receive.
+
+    `names` gets the names of objects made of instances, which are gone then, with what to leave out instead of each.
+    """
     # Step 1: refuse what cannot work, before anything is touched.
     request, notices = resolve(bpy.context, request)
     said += notices
     raise_first(notices)
     yield from reading(bpy.context)
     yield "Reading the scene"
-    arrays, same = _extract(request)
-    world = yield Aside("Building the tree of rays", once(lambda: World(arrays)))
-    same()
-    found = [*inspect(world, request), *outputs.problems(request, arrays, receiving(arrays, request), bpy.context.scene.name)]
-    said += found
-    raise_first(ordered(found))
-    if request.output:
-        files.output_folder(request.output)  # only writing there shows whether it can be done
-
-    # Step 2: UV layers that are missing are made; then the scene has to be read again.
-    kind = WRITERS[request.target]
     with contextlib.ExitStack() as undo:
+        real = make(bpy.context, request)
+        undo.push(real.undo)
+        names.update({o.name: title(name, reals.is_own(o)) for name, o in real.objects.items()})
+        said[:] = [*real.fitting(notices), *real.notices, *_checked(real, request)]
+        arrays, same = _extract(request, real)
+        world = yield Aside("Building the tree of rays", once(lambda: World(arrays)))
+        same()
+        found = [*inspect(world, request), *outputs.problems(request, arrays, receiving(arrays, request), bpy.context.scene.name)]
+        said += found
+        raise_first(ordered(found))
+        if request.output:
+            files.output_folder(request.output)  # only writing there shows whether it can be done
+
+        # Step 2: UV layers that are missing are made; then the scene has to be read again.
+        kind = WRITERS[request.target]
         made = yield from kind.preparing(request, world, same)
         if made is not None:
             undo.callback(lambda: bpy.context.view_layer.update())
             undo.push(made.undo)
             said += made.notices
             yield "Reading the scene again"
-            arrays, same = _extract(request)
+            arrays, same = _extract(request, real)
             world = yield Aside("Building the tree of rays", once(lambda: World(arrays)))
             same()
 
@@ -175,7 +188,7 @@ def _attempting(request: BakeRequest, said: list[Notice]) -> Stages[Built]:
         yield from writer.placing()
         same()
         said += writer.notices
-        return Built(writer, Driver(request.solver, world, writer.receivers, request.settings), undo.pop_all())
+        return Built(writer, Driver(request.solver, world, writer.receivers, request.settings), undo.pop_all(), real)
 
 
 def rehearse(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
@@ -198,10 +211,19 @@ def _first_step(driver: Driver) -> None:
         next(steps)
 
 
-def _extract(request: BakeRequest) -> tuple[SceneArrays, Callable[[], None]]:
+def _checked(real: Real, request: BakeRequest) -> list[Notice]:
+    """What is said of the objects made of instances; raises `TargetError` for one that cannot receive."""
+    found = [n for obj in real.objects.values() for n in checker(request)(obj, request)]
+    for n in found:
+        if n.severity == "error":
+            raise TargetError(n.object, n.reason, n.remedy)
+    return found
+
+
+def _extract(request: BakeRequest, real: Real) -> tuple[SceneArrays, Callable[[], None]]:
     """The scene as it is, and what raises when it is another one later."""
     context = bpy.context
-    arrays = extract(context.evaluated_depsgraph_get(), context.scene, picture_size(context.scene, request))
+    arrays = extract(context.evaluated_depsgraph_get(), context.scene, picture_size(context.scene, request), real.objects)
     seen = fingerprint(context)
 
     def same() -> None:

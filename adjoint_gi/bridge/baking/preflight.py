@@ -6,6 +6,7 @@ Two parts: what can be read off Blender's data at once, and what needs the extra
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import bpy
@@ -27,6 +28,7 @@ from ..host import files
 from ..host.notices import Notices, listed
 from ..props.request import RECEIVERS, BakeRequest
 from ..results import links as targets
+from ..results import real as reals
 from ..results import stored
 from ..results.attribute import check_attribute_target
 from ..results.lightmap_uv import NAME, check_target, own_layer
@@ -85,7 +87,7 @@ def resolve(context: bpy.types.Context, request: BakeRequest) -> tuple[BakeReque
     else:
         present = _by_name(context)
         for name in request.objects:
-            notices += _named(context, name, present.get(name))
+            notices += _named(context, name, present.get(name), request.instances)
         if not any(n.severity == "error" for n in notices):
             request, found = _resolve_objects(context, request)
             notices += found
@@ -96,7 +98,7 @@ def resolve(context: bpy.types.Context, request: BakeRequest) -> tuple[BakeReque
 
 def _resolve_objects(context: bpy.types.Context, request: BakeRequest) -> tuple[BakeRequest, list[Notice]]:
     """The same, of the objects alone."""
-    check = _texture_target if request.target == "texture" else _attribute_target
+    check = checker(request)
     objects = [o for o in _meant(context, request) if o.name not in request.left_out]
     found = {o: check(o, request) for o in objects}
     bad = [o for o in objects if any(n.severity == "error" for n in found[o])]
@@ -106,6 +108,11 @@ def _resolve_objects(context: bpy.types.Context, request: BakeRequest) -> tuple[
         return request, notices
     notices = [left_out(n) if n.severity == "error" else n for n in notices]
     return replace(request, left_out=(*request.left_out, *(o.name for o in bad))), notices
+
+
+def checker(request: BakeRequest) -> Callable[[bpy.types.Object, BakeRequest], list[Notice]]:
+    """What looks at one object for the target of `request`."""
+    return _texture_target if request.target == "texture" else _attribute_target
 
 
 def left_out(error: Notice) -> Notice:
@@ -120,9 +127,15 @@ def _damaged() -> list[Notice]:
 
 
 def target_objects(context: bpy.types.Context, request: BakeRequest) -> list[bpy.types.Object]:
-    """The mesh objects that `request` means: those named, or all that have faces, are not hidden in render and can be written to."""
+    """The mesh objects that `request` means: those named, or all that have faces, are not hidden in render and can be written to.
+
+    Also the objects that are there for instances, which a bake makes.
+    """
     request = resolve(context, request)[0]
-    return [o for o in _meant(context, request) if o.name not in request.left_out and (request.objects or targets.linked(o, False) is None)]
+    real = reals.of_makers(context.scene, request.objects) if request.instances else []
+    replaced = {reals.maker_of(o) for o in real if reals.is_own(o)}
+    able = [o for o in _meant(context, request) if o not in replaced and (request.objects or targets.linked(o, False) is None)]
+    return [o for o in (*able, *real) if o.name not in request.left_out]
 
 
 def _meant(context: bpy.types.Context, request: BakeRequest) -> list[bpy.types.Object]:
@@ -130,7 +143,7 @@ def _meant(context: bpy.types.Context, request: BakeRequest) -> list[bpy.types.O
     wanted = dict.fromkeys(request.objects)
     if wanted:
         present = _by_name(context)
-        return [present[name] for name in wanted if name in present]
+        return [present[name] for name in wanted if name in present and present[name].type == "MESH"]
     return _with_faces(context)
 
 
@@ -155,10 +168,10 @@ def inspect(world: World, request: BakeRequest) -> list[Notice]:
         if arrays.camera is None and not any(n.severity == "error" for n in notices):
             notices.append(Notice("Camera", "there is no camera that can be used", "Make it perspective or orthographic", "error"))
     else:
-        present = {arrays.objects[i].source for i in receivers}
+        present = {name for i in receivers for name in (arrays.objects[i].source, arrays.objects[i].maker)}
         notices = refusals(notices, [n for n in request.objects if n not in present])
         if not request.objects:
-            notices += _meshless(arrays) + _instances(arrays)
+            notices += _meshless(arrays) + _instances(arrays, request)
         if not receivers and not request.objects and not any(n.severity == "error" for n in notices):
             notices.append(Notice("Scene", "has no mesh object with faces to bake", "Add one, or show one in renders", "error"))
     if not emits(world):
@@ -193,11 +206,11 @@ def receiving(arrays: SceneArrays, request: BakeRequest) -> list[int]:
     """Indices of the objects that receive: no instances, texts or curves, which have no mesh to write to, nor objects of other files."""
     if request.target == "render":
         return []
-    meshes = {o.session_uid: o for o in bpy.data.objects if o.type == "MESH" and not targets.is_result(o)}
+    meshes = {o.session_uid: o for o in bpy.data.objects if o.type == "MESH" and (reals.is_real(o) or not targets.is_result(o))}
     own = [i for i, o in enumerate(arrays.objects) if not o.instance and o.uid in meshes]
     if request.objects:
         wanted = set(request.objects)
-        return [i for i in own if arrays.objects[i].source in wanted]
+        return [i for i in own if wanted & {arrays.objects[i].source, arrays.objects[i].maker}]
     able = [i for i in own if targets.linked(meshes[arrays.objects[i].uid], False) is None]
     return [i for i in able if arrays.objects[i].source not in request.left_out]
 
@@ -276,8 +289,8 @@ def _by_name(context: bpy.types.Context) -> dict[str, bpy.types.Object]:
     return {obj.name: obj for obj in reversed(context.view_layer.objects.values())}
 
 
-def _named(context: bpy.types.Context, name: str, obj: bpy.types.Object | None) -> list[Notice]:
-    """Whether `obj`, called `name`, can be baked to at all."""
+def _named(context: bpy.types.Context, name: str, obj: bpy.types.Object | None, instances: bool) -> list[Notice]:
+    """Whether `obj`, called `name`, can be baked to at all, or with `instances` what it makes."""
     if obj is None:
         known = name in bpy.data.objects
         reason = "is not in this view layer, or its collection is excluded" if known else "does not exist"
@@ -285,7 +298,7 @@ def _named(context: bpy.types.Context, name: str, obj: bpy.types.Object | None) 
         return [Notice(name, reason, f"Choose of the mesh objects: {have}", "error")]
     if obj.is_missing:
         return [Notice(name, *targets.missing(obj), "error")]
-    if obj.type != "MESH":
+    if obj.type != "MESH" and not (instances and reals.may_make(obj)):
         return [Notice(name, f"is a {obj.type.lower()}, not a mesh", "Convert it to a mesh", "error")]
     if targets.is_result(obj):
         return [Notice(name, "was made by a bake to hold a result, so nothing is baked to it", "Bake the object it was made of", "error")]
@@ -302,15 +315,18 @@ def _meshless(arrays: SceneArrays) -> list[Notice]:
     return [Notice(name, f"is a {kind.lower()}, which {reason}", "Convert it to a mesh", "info") for name, kind in found if kind != "MESH"]
 
 
-def _instances(arrays: SceneArrays) -> list[Notice]:
-    """Instances, which are in the light but not baked, with their number, by what makes them."""
+def _instances(arrays: SceneArrays, request: BakeRequest) -> list[Notice]:
+    """Instances, which are in the light but not baked until a bake makes them objects, with their number, by what makes them."""
     made: dict[str, list[str]] = {}
     for o in arrays.objects:
         if o.instance:
             made.setdefault(o.maker, []).append(o.source)
     reason = "makes {} instance{} of {}, in the light but not baked"
+    remedy = "To bake them, turn on Bake Instances (--instances), or use Object > Apply > Make Instances Real"
+    if request.instances:
+        reason, remedy = "makes {} instance{} of {}, which the bake makes objects of", ""
     texts = {maker: reason.format(len(of), "s" * (len(of) > 1), listed(list(dict.fromkeys(of)))) for maker, of in made.items()}
-    return [Notice(maker, text, "To bake them, use Object > Apply > Make Instances Real", "info") for maker, text in texts.items()]
+    return [Notice(maker, text, remedy, "info") for maker, text in texts.items()]
 
 
 def _texture_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]:

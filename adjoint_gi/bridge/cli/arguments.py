@@ -85,6 +85,8 @@ def add_request(parser: argparse.ArgumentParser, in_blender: bool) -> None:
     parser.add_argument("--domain", default=DEFAULTS["domain"], choices=DOMAINS, help=default)
     what = "write the attribute to a new object: the elements of element methods, or the evaluated mesh"
     parser.add_argument("--new-object", action="store_true", help=what)
+    what = "bake instances too, each as an object of its own; objects named then mean what they make as well"
+    parser.add_argument("--instances", action="store_true", help=what)
     parser.add_argument("--size", metavar="WxH", help="size of the picture (default: that of the render settings)")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the method; may be repeated")
     parser.add_argument("--seed", type=whole, help="start of the random numbers")
@@ -138,6 +140,7 @@ def request_of(options: argparse.Namespace) -> BakeRequest:
         attribute=options.attribute,
         domain=options.domain,
         new_object=options.new_object,
+        instances=options.instances,
         output=str(files.absolute(options.output)) if options.output and not options.output.startswith("//") else options.output,
         width=width,
         height=height,

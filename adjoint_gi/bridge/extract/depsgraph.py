@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 
 import bpy
 
@@ -20,25 +21,33 @@ from .unsupported import name_bright_attributes, name_missing_layers
 from .world import read_world
 
 
-def extract(depsgraph: bpy.types.Depsgraph, scene: bpy.types.Scene | None = None, resolution: tuple[int, int] | None = None) -> SceneArrays:
+def extract(
+    depsgraph: bpy.types.Depsgraph,
+    scene: bpy.types.Scene | None = None,
+    resolution: tuple[int, int] | None = None,
+    real: Mapping[str, bpy.types.Object] | None = None,
+) -> SceneArrays:
     """Copy the scene into arrays that own their memory, in metres, world space and Cycles' units.
 
     Nothing of the user's data is changed and no Blender reference survives. `resolution` (width, height) replaces that of
-    the render settings for the camera. What could not be taken as it is stands in `warnings`; a scene in which there is
-    nothing to compute gives a notice of severity "error" and empty arrays. Call it on the main thread.
+    the render settings for the camera; instances named in `real` count as the objects that were made of them. What could not be taken
+    as it is stands in `warnings`; a scene in which there is nothing to compute gives a notice of severity "error" and empty arrays.
+    Call it on the main thread.
     """
     # A depsgraph of a render lists what is hidden in the viewport anyway.
     with unhidden(depsgraph.view_layer) if depsgraph.mode == "VIEWPORT" else contextlib.nullcontext():
-        return _extract(depsgraph, scene or depsgraph.scene_eval, resolution)
+        return _extract(depsgraph, scene or depsgraph.scene_eval, resolution, real or {})
 
 
-def _extract(depsgraph: bpy.types.Depsgraph, scene: bpy.types.Scene, resolution: tuple[int, int] | None) -> SceneArrays:
+def _extract(
+    depsgraph: bpy.types.Depsgraph, scene: bpy.types.Scene, resolution: tuple[int, int] | None, real: Mapping[str, bpy.types.Object]
+) -> SceneArrays:
     notices = Notices()
     working_space_notice(notices)
 
     # Step 1: copy meshes, materials and lamps while walking over the instances (temporary objects die after the walk).
     materials = Materials(depsgraph, notices)
-    walk = InstanceWalk(materials.index_of, materials.bodiless, notices)
+    walk = InstanceWalk(materials.index_of, materials.bodiless, notices, real)
     walk.run(depsgraph)
 
     # Step 2: bring every instance to world space.

@@ -6,7 +6,7 @@ Curves, texts, surfaces and metaballs need no conversion: the depsgraph lists th
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Set
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass, field
 
 import bpy
@@ -16,6 +16,7 @@ from ...core.scene.arrays import ObjectArrays
 from ..host.notices import Notices
 from ..host.versions import terminator_offset
 from ..results import links as targets
+from ..results import real as reals
 from ..results.preview import own_material
 from .cycles_settings import name_bounces, name_object_settings
 from .mesh import LARGEST_COORDINATE, MeshArrays, read_mesh
@@ -56,12 +57,20 @@ class InstanceWalk:
     """One pass over the instances of a depsgraph.
 
     `material_of` gives the index of a material, or of the default for None; faces with one of `bodiless`, filled by it, are no surface.
+    An instance whose name is in `real` is taken as that object: it has the instance's faces, and UVs of its own.
     """
 
-    def __init__(self, material_of: Callable[[bpy.types.Material | None], int], bodiless: Set[int], notices: Notices) -> None:
+    def __init__(
+        self,
+        material_of: Callable[[bpy.types.Material | None], int],
+        bodiless: Set[int],
+        notices: Notices,
+        real: Mapping[str, bpy.types.Object] | None = None,
+    ) -> None:
         self._material_of = material_of
         self._bodiless = bodiless
         self._notices = notices
+        self._real = real or {}
         self._numbers = attributes_read()
         self._meshes: dict[int, MeshArrays | None] = {}
         self._groups: dict[tuple[int, bool, bytes], Group] = {}
@@ -138,20 +147,23 @@ class InstanceWalk:
     def _visit_mesh(self, inst: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, original: bpy.types.Object) -> None:
         matrix = [x for row in inst.matrix_world for x in row]
         name, source, ids = self._identify(inst, original)
-        determinant = _determinant(matrix)
-        if determinant is None or abs(determinant) < 1e-30 or _squashed(matrix, determinant):
+        maker = inst.parent.original.name if ids and inst.parent else ""
+        own = self._real.get(name)
+        if own is not None:
+            name, source, ids, maker = own.name, own.name, (), reals.maker_name(own)
+            matrix = reals.placed(own, matrix)
+        if is_flat(matrix):
             reason = "has a scale of zero or a matrix that is not a number and is left out"
             self._notices.add(name, reason, "Give it a scale other than zero on every axis")
             return
-        group = self._group(obj, original, determinant < 0.0, source)
+        group = self._group(obj, original, determinant_of(matrix) < 0.0, source, own.data if own is not None else obj.data)
         if group is None:
             return
-        maker = inst.parent.original.name if ids and inst.parent else ""
         self._makers[maker] += 1
         group.makers.append(maker)
         group.names.append(name)
         group.sources.append(source)
-        group.uids.append(original.session_uid)
+        group.uids.append((own or original).session_uid)
         group.instances.append(ids)
         group.matrices.append(tuple(matrix))
         group.terminators.append(terminator_offset(original, "geometry"))
@@ -186,9 +198,8 @@ class InstanceWalk:
         self._names.add(unique)
         return unique, original.name, ids
 
-    def _group(self, obj: bpy.types.Object, original: bpy.types.Object, mirrored: bool, name: str) -> Group | None:
+    def _group(self, obj: bpy.types.Object, original: bpy.types.Object, mirrored: bool, name: str, mesh: bpy.types.Mesh) -> Group | None:
         """The group of this mesh, object (slots may be linked to it) and handedness; None when the mesh has no faces."""
-        mesh = obj.data
         pointer = mesh.as_pointer()
         key = (original.as_pointer(), pointer, mirrored)
         if key not in self._group_of:
@@ -202,7 +213,7 @@ class InstanceWalk:
         arrays = self._meshes[pointer]
         if arrays is None:
             return None
-        slots = self._slots(obj, mesh)
+        slots = self._slots(obj, obj.data)
         key = (pointer, mirrored, slots.tobytes())
         if key not in self._groups:
             solid = self._solid(self._mirrored(pointer, arrays) if mirrored else arrays, slots)
@@ -240,7 +251,11 @@ class InstanceWalk:
         return found
 
     def _slots(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> np.ndarray:
-        """(ns,) int32 material index of each slot: the object's where the slot is linked to it, else the mesh's; never a preview's."""
+        """(ns,) int32 material index of each slot, at least one."""
+        return np.array([self._material_of(m) for m in self.user_materials(obj, mesh) or [None]], np.int32)
+
+    def user_materials(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> list[bpy.types.Material | None]:
+        """The material of each slot: the object's where the slot is linked to it, else the mesh's; never a preview's."""
         below = list(mesh.materials)
         materials = list(below)
         for i, slot in enumerate(obj.material_slots):
@@ -251,7 +266,7 @@ class InstanceWalk:
             if lost:
                 reason = "shows a result, and its own material was deleted, so its faces count as grey"
                 self._notices.add(obj.original.name, reason, "Press Restore Materials and give it a material")
-        return np.array([self._material_of(m) for m in materials or [None]], np.int32)
+        return materials
 
 
 @dataclass(eq=False)
@@ -363,7 +378,13 @@ def _world_normals(normals: np.ndarray, matrices: np.ndarray) -> np.ndarray:
     return world / np.maximum(length, np.float32(1e-30))
 
 
-def _determinant(m: list[float]) -> float | None:
+def is_flat(matrix: list[float]) -> bool:
+    """Whether a flat 4 x 4 matrix leaves no surface: a scale of zero, or a coefficient that is not a number."""
+    determinant = determinant_of(matrix)
+    return determinant is None or abs(determinant) < 1e-30 or _squashed(matrix, determinant)
+
+
+def determinant_of(m: list[float]) -> float | None:
     """Determinant of the upper 3 x 3 of a flat 4 x 4 matrix; None when a coefficient is not a number."""
     total = sum(m)
     if total - total != 0.0:

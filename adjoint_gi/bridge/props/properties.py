@@ -124,6 +124,12 @@ class Root:
         "walls are subdivided; other methods take the evaluated mesh, as needed when modifiers change the mesh",
         default=DEFAULT["new_object"],
     )
+    instances: bpy.props.BoolProperty(
+        name="Bake Instances",
+        description="Also bake what collection instances, geometry nodes, parents and particles make: each gets an object of its own, "
+        "in a collection that is hidden until Show Result and goes with Clear Results",
+        default=DEFAULT["instances"],
+    )
     folder: bpy.props.StringProperty(
         name="Folder",
         description="Where EXR files are saved. Empty: the image is kept in the .blend file only",
@@ -170,7 +176,7 @@ def request_of(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer | None = 
     if solver is None:
         raise SettingsError("Method", f"no method is both {state.strategy} and {state.nature}", "Choose another strategy or nature")
     layer = view_layer or scene.view_layers[0]
-    objects = results.selected(layer) if state.selection_only else ()
+    objects = results.selected(layer, state.instances) if state.selection_only else ()
     if state.selection_only and not objects and state.target != "render":
         raise SettingsError("Selected Only", *results.nothing_selected(layer))
     return BakeRequest(
@@ -188,6 +194,7 @@ def request_of(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer | None = 
         attribute=state.attribute,
         domain=state.domain,
         new_object=state.new_object,
+        instances=state.instances,
         output=folder_of(scene, state.target),
     )
 

@@ -36,6 +36,7 @@ class BakeRequest:
     subsamples   points in each texel
     attribute    name of the colour attribute
     new_object   write the attribute to an object made of the elements, or by other methods to a copy that carries the evaluated mesh
+    instances    bake instances too, each as an object of ours; objects named then mean what they make as well
     output       folder for files; empty means none
     width, height   of the camera picture; 0 means those of the render settings
     left_out     names of objects that are not baked although none are named: they cannot receive (filled in by pre-flight)
@@ -57,6 +58,7 @@ class BakeRequest:
     attribute: str = "AdjointGI"
     domain: str = "CORNER"
     new_object: bool = False
+    instances: bool = False
     output: str = ""
     width: int = 0
     height: int = 0

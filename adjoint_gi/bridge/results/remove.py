@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from . import carried, links, stored
+from . import carried, links, real, stored
 from .attribute import STORED, remove_attributes, remove_result_object, result_object
 from .image import remove_images
 from .lightmap_uv import STORED as STORED_UV
@@ -18,7 +18,9 @@ def remove_results(scene: bpy.types.Scene) -> dict[str, int]:
     What another scene's objects use stays: images, and the attributes and UV layers of shared meshes. Raises TargetError for a mesh in
     edit mode; then nothing has changed. Materials must be the user's own: restore them first.
     """
-    objects = [o for o in scene.objects if o.type == "MESH" and links.linked(o, False) is None and not links.is_result(o)]
+    objects = [
+        o for o in scene.objects if o.type == "MESH" and links.linked(o, False) is None and (real.is_real(o) or not links.is_result(o))
+    ]
     own = {o.session_uid for o in objects}
     changed = [o for o in objects if _has_layers(o) and {other.session_uid for other in links.sharing(o)} <= own]
     for obj in changed:
@@ -29,11 +31,13 @@ def remove_results(scene: bpy.types.Scene) -> dict[str, int]:
     for obj in objects:
         links.forget(obj)
     layers = sum(remove_lightmap_uv(o, set(changed)) for o in layered)
+    attributes = sum(remove_attributes(o) for o in changed)
+    instances = real.remove(scene)
     carried.drop_orphans()
     return {
-        "object": made,
+        "object": made + instances,
         "image": images,
-        "attribute": sum(remove_attributes(o) for o in changed),
+        "attribute": attributes,
         "UV layer": layers,
         "damaged property of a bake": stored.drop_damaged(),
     }

@@ -16,7 +16,7 @@ import bpy
 from ...core.base.errors import TargetError
 from ..host.notices import listed
 from . import links as targets
-from . import preview, stored
+from . import preview, real, stored
 from .attribute import check_attribute_target, linked_attribute, result_object
 from .stored import HIDDEN
 
@@ -26,15 +26,20 @@ def holders(scene: bpy.types.Scene, quantity: str, target: str, new_object: bool
     or as an attribute on themselves, and where their mesh cannot hold one, on objects made for it."""
     meshes = [o for o in scene.objects if o.type == "MESH"]
     if target == "texture":
-        return [o for o in meshes if not targets.is_result(o) and targets.link(o, quantity) is not None]
+        return [o for o in meshes if not _is_made(o) and targets.link(o, quantity) is not None]
     holding = [o for o in meshes if linked_attribute(o, quantity) is not None]
-    made = [o for o in holding if targets.is_result(o)]
+    made = [o for o in holding if _is_made(o)]
     if new_object:
         return made
-    own = [o for o in holding if not targets.is_result(o)]
-    instead = {o: result_object(o) for o in meshes if not targets.is_result(o) and result_object(o) in made}
+    own = [o for o in holding if not _is_made(o)]
+    instead = {o: result_object(o) for o in meshes if not _is_made(o) and result_object(o) in made}
     instead = {o: result for o, result in instead.items() if o not in own or not _can_hold(o)}
     return [o for o in own if o not in instead] + list(instead.values())
+
+
+def _is_made(obj: bpy.types.Object) -> bool:
+    """Whether it is the second object that stands where an original does. One for an instance is baked to like any other."""
+    return targets.is_result(obj) and not real.is_real(obj)
 
 
 def _can_hold(obj: bpy.types.Object) -> bool:
@@ -62,6 +67,7 @@ def show(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer | None = None) 
             preview.show([obj], record.quantity, attribute=linked_attribute(obj, record.quantity))
     layer = view_layer or scene.view_layers[0]
     layer.update()  # so that it knows what was made last
+    _show_instances(scene, layer, objects)
     for obj in scene.objects:
         made = result_object(obj)
         if made is not None and (obj in objects or made in objects):
@@ -75,6 +81,7 @@ def restore(scene: bpy.types.Scene) -> int:
     """Put the materials of all objects of `scene` back, and show again what `show` hid; returns how many objects showed a result."""
     for obj in scene.objects:
         _reveal(obj)
+    real.rest(scene)
     return preview.restore([o for o in scene.objects if o.type == "MESH"])
 
 
@@ -100,15 +107,21 @@ def put_aside(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Iterat
         yield
 
 
-def selected(view_layer: bpy.types.ViewLayer) -> tuple[str, ...]:
-    """Names of the selected mesh objects. Results are none of them; one that is seen in place of its original stands for it."""
+def selected(view_layer: bpy.types.ViewLayer, instances: bool = False) -> tuple[str, ...]:
+    """Names of the selected mesh objects. Results are none of them; one that is seen in place of its original stands for it.
+
+    With `instances` also objects without a mesh that can have instances.
+    """
 
     def is_selected(obj: bpy.types.Object) -> bool:
         state = stored.read(obj, HIDDEN)
         seen = state.get("seen") if state is not None and view_layer in _layers(obj) else None
+        if seen is not None and real.is_real(seen):
+            return any(o.select_get(view_layer=view_layer) for o in _instances_of(obj, view_layer))
         return (seen if seen is not None and obj.hide_get(view_layer=view_layer) else obj).select_get(view_layer=view_layer)
 
-    return tuple(o.name for o in view_layer.objects if o.type == "MESH" and not targets.is_result(o) and is_selected(o))
+    able = [o for o in view_layer.objects if o.type == "MESH" or (instances and real.may_make(o))]
+    return tuple(o.name for o in able if not targets.is_result(o) and is_selected(o))
 
 
 def nothing_selected(view_layer: bpy.types.ViewLayer) -> tuple[str, str]:
@@ -119,6 +132,32 @@ def nothing_selected(view_layer: bpy.types.ViewLayer) -> tuple[str, str]:
     made_of = [o.name for o in view_layer.objects if result_object(o) in ours]
     what = f"what they were made of ({listed(made_of)})" if made_of else "other objects"
     return f"is on, but only results are selected ({listed([o.name for o in ours])})", f"Select {what}, or turn it off"
+
+
+def _show_instances(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, objects: list[bpy.types.Object]) -> None:
+    """Show those of `objects` that a bake made of instances, or what holds their result, and hide who made the instances, so that
+    nothing is there twice; where that cannot be hidden, all stays as it is."""
+    made = [o for o in real.objects_of(scene) if o in objects or result_object(o) in objects]
+    for maker in {real.maker_of(o): None for o in made}:
+        if maker is None or stored.read(maker, HIDDEN) is not None or not maker.visible_get(view_layer=layer):
+            continue
+        own = [o for o in made if real.maker_of(o) == maker]
+        _set_resting(own, False)
+        layer.update()
+        _hide(maker, own[0], scene, layer)
+        if stored.read(maker, HIDDEN) is None:
+            _set_resting(own, True)
+    layer.update()
+
+
+def _set_resting(objects: list[bpy.types.Object], resting: bool) -> None:
+    for obj in objects:
+        obj.hide_viewport = resting
+
+
+def _instances_of(maker: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
+    """The objects in `view_layer` that stand for instances of `maker`."""
+    return [o for o in view_layer.objects if real.maker_of(o) == maker]
 
 
 def _hide(obj: bpy.types.Object, seen: bpy.types.Object, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:

@@ -17,6 +17,8 @@ import bpy
 RESULTS = "adjoint_gi_results"  # of objects: a group for each result, see `links`
 MADE = "adjoint_gi_made"  # of objects that a bake has made to hold its result
 STATE = "adjoint_gi_preview"  # of objects that show a result: their slots before
+REAL = "adjoint_gi_instance"  # of objects that a bake has made of instances: which one, who made it, and a checksum of the mesh
+REALS = "adjoint_gi_instances"  # of the collection that holds them
 HIDDEN = "adjoint_gi_hidden"  # of objects that were hidden for a preview: where, in favour of which, and what was selected
 ATTRIBUTES = "adjoint_gi_attributes"  # of meshes: key -> JSON list of our attributes
 UV = "adjoint_gi_uv"  # of meshes: name of the layer made by us
@@ -30,7 +32,7 @@ OURS = "adjoint_gi_material"  # of materials of a preview
 ORIGINAL = "adjoint_gi_original"  # of materials of a preview: the one of the user that each stands for, None when that was deleted
 TREE = "adjoint_gi"  # of node groups made by us: what for
 
-COLLECTIONS = ("objects", "meshes", "materials", "images", "node_groups")  # of datablocks that may carry them
+COLLECTIONS = ("objects", "meshes", "materials", "images", "node_groups", "collections")  # of datablocks that may carry them
 
 
 def read(owner: bpy.types.ID, name: str) -> Any | None:
@@ -160,10 +162,23 @@ def _is_hidden(value: Any) -> bool:
     )
 
 
+def _is_real(value: Any) -> bool:
+    """REAL: which instance an object was made of."""
+    return (
+        _is_group(value)
+        and isinstance(value.get("instance"), str)
+        and isinstance(value.get("sum"), str)
+        and isinstance(value.get("sheared"), bool | int)
+        and isinstance(value.get("maker"), bpy.types.Object | None)
+    )
+
+
 PROPERTIES: dict[str, Callable[[Any], bool]] = {
     RESULTS: _is_group,
     MADE: _is_on,
     STATE: _is_state,
+    REAL: _is_real,
+    REALS: _is_on,
     HIDDEN: _is_hidden,
     ATTRIBUTES: _is_group,
     UV: _is_text,

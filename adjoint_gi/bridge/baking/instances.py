@@ -1,0 +1,297 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Making instances real for a bake: an object of ours for each instance, with a mesh of its own, in a collection of ours.
+
+The instancers stay as they are. `results.real` says how the objects are kept, and `extract.instances` how they come into the light.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass, field
+
+import bpy
+from mathutils import Matrix
+
+from ...core.base.errors import Notice, TargetError
+from ..extract.instances import InstanceWalk, determinant_of, is_flat
+from ..host.notices import Notices, listed
+from ..props.request import BakeRequest
+from ..results import links, preview, stored
+from ..results import real as reals
+from ..results.lightmap_uv import own_layer
+from ..results.show import unhidden
+from ..results.stored import ATTRIBUTES, MADE, REAL, REALS
+
+MOST = 20_000  # instances that are made objects: Blender itself slows down with more
+SHEAR = 1e-5  # largest difference of a matrix, relative to its largest coefficient, from one that an object can have
+
+
+@dataclass(eq=False)
+class Asked:
+    """An instance that is asked for; `mesh` is our copy of its faces, which it may share with others."""
+
+    name: str
+    original: bpy.types.Object
+    maker: bpy.types.Object
+    matrix: Matrix
+    mesh: bpy.types.Mesh
+    materials: list[bpy.types.Material | None]
+
+
+@dataclass(eq=False)
+class Real:
+    """Objects made of instances, by the name of the instance.
+
+    `undo` takes back what was made; `settle` removes for good what has been replaced, once there is a result.
+    """
+
+    objects: dict[str, bpy.types.Object] = field(default_factory=dict)
+    notices: list[Notice] = field(default_factory=list)
+    undo: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
+    _old_objects: list[int] = field(default_factory=list)  # session_uids, because an undo step of Blender moves datablocks
+    _old_meshes: list[int] = field(default_factory=list)
+
+    def fitting(self, notices: list[Notice]) -> list[Notice]:
+        """`notices` without infos on objects that are not baked themselves, because an object of ours stands for their own faces."""
+        replaced = {name for name, obj in self.objects.items() if reals.is_own(obj)}
+        out = []
+        for n in notices:
+            names = [x for x in n.names or (n.object,) if n.severity != "info" or x not in replaced]
+            out += [Notice(x, n.reason, n.remedy, n.severity) for x in names]
+        return out
+
+    def settle(self) -> None:
+        """See the class; doing it twice changes nothing."""
+        reals.remove_objects(self._old_objects)
+        bpy.data.batch_remove([m for m in bpy.data.meshes if m.session_uid in self._old_meshes and m.users == 0])
+        self._old_objects, self._old_meshes = [], []
+
+
+def make(context: bpy.types.Context, request: BakeRequest) -> Real:
+    """An object for each instance that `request` means and a render shows, made or, from an earlier bake, renewed.
+
+    Where an instancer has faces of its own, these get an object as well: it is hidden where its instances are shown as objects.
+    Raises `TargetError`; then nothing has changed.
+    """
+    made = Real()
+    if not request.instances or request.target == "render":
+        return made
+    with unhidden(context.view_layer):
+        walk = _Walk(context.evaluated_depsgraph_get(), request)
+    try:
+        made.notices = walk.notices()
+        with contextlib.ExitStack() as undo:
+            made.undo = undo
+            _place(context.scene, request, walk.found, made)
+            made.undo = undo.pop_all()
+    finally:
+        bpy.data.batch_remove(list(walk.copies.values()))
+    context.view_layer.update()
+    return made
+
+
+class _Walk(InstanceWalk):
+    """Finds the instances, under the names that the extraction will give them, and copies each mesh once."""
+
+    def __init__(self, depsgraph: bpy.types.Depsgraph, request: BakeRequest) -> None:
+        super().__init__(lambda material: 0, frozenset(), Notices())
+        self._depsgraph, self._request = depsgraph, request
+        self._own: dict[bpy.types.Object, tuple[str, Matrix]] = {}  # surfaces of objects themselves, some of which are makers
+        self._locked: dict[str, TargetError] = {}
+        self.copies: dict[int, bpy.types.Mesh] = {}
+        self.found: list[Asked] = []
+        self.run(depsgraph)
+        for maker in {f.maker: None for f in self.found}:
+            if maker in self._own:
+                self._add(*self._own[maker], maker.evaluated_get(depsgraph), maker, maker)
+
+    def notices(self) -> list[Notice]:
+        """What becomes of the instances of each maker."""
+        of: dict[str, list[str]] = {}
+        for f in self.found:
+            if f.original != f.maker:
+                of.setdefault(f.maker.name, []).append(f.original.name)
+        text = "makes {} instance{} of {}, baked as objects of their own"
+        told = [Notice(n, text.format(len(s), "s" * (len(s) > 1), listed(list(dict.fromkeys(s)))), "", "info") for n, s in of.items()]
+        return told + [Notice(n, f"{e.notice.reason}; its instances are not baked", e.notice.remedy) for n, e in self._locked.items()]
+
+    def _visit_mesh(self, inst: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, original: bpy.types.Object) -> None:
+        name, _, ids = self._identify(inst, original)
+        matrix = inst.matrix_world.copy()
+        if is_flat([x for row in matrix for x in row]) or not obj.data.polygons:
+            return
+        if not ids or inst.parent is None:
+            self._own[original] = name, matrix
+            return
+        maker = inst.parent.original
+        if self._request.objects and maker.name not in self._request.objects:
+            return
+        error = _locked(maker)
+        if error is not None:
+            self._locked[maker.name] = error
+        else:
+            self._add(name, matrix, obj, original, maker)
+
+    def _add(self, name: str, matrix: Matrix, obj: bpy.types.Object, original: bpy.types.Object, maker: bpy.types.Object) -> None:
+        """Note one, with a copy of its mesh as it would be without what a bake has left on the original."""
+        if title(name, original == maker) in self._request.left_out:
+            return
+        if len(self.found) >= MOST:
+            remedy = "Choose some of the objects that make them, or turn off Bake Instances"
+            raise TargetError("Bake Instances", f"means more than {MOST:,} instances", remedy)
+        key = obj.data.as_pointer()
+        if key not in self.copies:
+            mesh = bpy.data.meshes.new_from_object(obj, preserve_all_data_layers=True, depsgraph=self._depsgraph)
+            self.copies[key] = _stripped(mesh, original)
+        self.found.append(
+            Asked(name, original, maker, matrix, self.copies[key], [m and m.original for m in self.user_materials(obj, obj.data)])
+        )
+
+
+def title(name: str, own: bool) -> str:
+    """The name of the object for the instance `name`, or for the instancer's `own` faces."""
+    return f"{name}[{name}]" if own else name
+
+
+def _locked(maker: bpy.types.Object) -> TargetError | None:
+    """Why the instances of `maker` cannot be replaced for Show Result: it belongs to another file."""
+    if maker.library is None and maker.override_library is None and maker.is_editable:
+        return None
+    return TargetError(maker.name, "is linked from another file, or overrides what is", "Make it local")
+
+
+def _stripped(mesh: bpy.types.Mesh, original: bpy.types.Object) -> bpy.types.Mesh:
+    """`mesh` without the layers, attributes and properties that bakes of `original` have left."""
+    for name in [k for k in mesh.keys() if k in stored.PROPERTIES]:  # noqa: SIM118
+        del mesh[name]
+    if original.type != "MESH":
+        return mesh
+    layer = mesh.uv_layers.get(own_layer(original) or " ")
+    if layer is not None:
+        mesh.uv_layers.remove(layer)
+    for key in stored.keys(original.data, ATTRIBUTES):
+        for entry in stored.entry(original.data, ATTRIBUTES, key):
+            attribute = mesh.color_attributes.get(entry["name"])
+            if attribute is not None:
+                mesh.color_attributes.remove(attribute)
+    return mesh
+
+
+# ---- the objects
+
+
+def _place(scene: bpy.types.Scene, request: BakeRequest, found: list[Asked], made: Real) -> None:
+    """Have an object for each of `found`, and none for instances of the same makers that are no more."""
+    known = {reals.instance_name(o): o for o in reals.of_makers(scene, request.objects)}
+    for obj in known.values():
+        links.check_edit_mode(obj)
+    collection = reals.collection_of(scene)
+    if not found and collection is None:
+        return
+    if collection is None:
+        collection = bpy.data.collections.new(f"{scene.name} GI Instances")
+        collection[REALS] = True
+        scene.collection.children.link(collection)
+        made.undo.callback(reals.remove, scene)
+    for f in found:
+        obj = known.get(f.name)
+        if obj is not None and not obj.modifiers and obj.data.users == 1:
+            _renew(known.pop(f.name), f, made)
+        else:
+            obj = _new(collection, f, made)
+        made.objects[f.name] = obj
+    for obj in known.values():  # instances that are gone
+        collection.objects.unlink(obj)
+        made.undo.callback(_put_back, scene, obj.session_uid)
+        made._old_objects.append(obj.session_uid)
+
+
+def _new(collection: bpy.types.Collection, f: Asked, made: Real) -> bpy.types.Object:
+    """An object for an instance that had none; hidden until it is shown."""
+    mesh, sheared, matrix, total = _shaped(f)
+    obj = bpy.data.objects.new(title(f.name, f.original == f.maker), mesh)
+    made.undo.callback(reals.remove_objects, [obj.session_uid])
+    mesh.name = obj.name
+    obj.hide_render = obj.hide_viewport = True
+    obj[MADE] = True
+    obj[REAL] = {"instance": f.name, "sum": total, "sheared": sheared}
+    obj[REAL]["maker"] = f.maker
+    obj.matrix_world = matrix
+    if hasattr(obj, "adjoint_gi_density"):
+        obj.adjoint_gi_density = f.original.adjoint_gi_density
+    collection.objects.link(obj)
+    _set_materials(mesh, f.materials)
+    return obj
+
+
+def _renew(obj: bpy.types.Object, f: Asked, made: Real) -> None:
+    """Bring an object of an earlier bake up to date: the mesh, with its UVs, stays where it is as it was."""
+    mesh, sheared, matrix, total = _shaped(f)
+    state = obj[REAL]
+    before = (
+        obj.data.session_uid,
+        obj.matrix_world.copy(),
+        state["sum"],
+        state["sheared"],
+        [m and m.session_uid for m in obj.data.materials],
+    )
+    obj.matrix_world = matrix
+    if state["sum"] == total:
+        bpy.data.meshes.remove(mesh)
+        mesh = obj.data
+        made.undo.callback(_go_back, obj.session_uid, *before)
+    else:
+        preview.restore([obj])
+        made._old_meshes.append(obj.data.session_uid)
+        obj.data = mesh
+        state["sum"], state["sheared"] = total, sheared
+        made.undo.callback(_go_back, obj.session_uid, *before)
+    if [m for m in mesh.materials if m] != [m for m in f.materials if m] or len(mesh.materials) < len(f.materials):
+        preview.restore([obj])
+        _set_materials(mesh, f.materials)
+
+
+def _shaped(f: Asked) -> tuple[bpy.types.Mesh, bool, Matrix, str]:
+    """A mesh for the instance, whether it is in world space because no object can be sheared, the object's matrix, and the checksum."""
+    mesh, total = f.mesh.copy(), reals.checksum(f.mesh)
+    largest = max(abs(x) for row in f.matrix for x in row)
+    rebuilt = Matrix.LocRotScale(*f.matrix.decompose())
+    sheared = max(abs(x) for row in rebuilt - f.matrix for x in row) > SHEAR * largest
+    if not sheared:
+        return mesh, False, f.matrix, total
+    mesh.transform(f.matrix)
+    if determinant_of([x for row in f.matrix for x in row]) < 0.0:
+        mesh.flip_normals()
+    return mesh, True, Matrix.Identity(4), f"{total} {reals.checksum(mesh)}"
+
+
+def _set_materials(mesh: bpy.types.Mesh, materials: list[bpy.types.Material | None]) -> None:
+    mesh.materials.clear()
+    for material in materials:
+        mesh.materials.append(material)
+
+
+def _go_back(uid: int, mesh: int, matrix: Matrix, total: str, sheared: bool, materials: list[int | None]) -> None:
+    """Undo `_renew`."""
+    obj = _object(uid)
+    old = next((m for m in bpy.data.meshes if m.session_uid == mesh), None)
+    if obj is None or old is None:
+        return
+    now, obj.data, obj.matrix_world = obj.data, old, matrix
+    obj[REAL]["sum"], obj[REAL]["sheared"] = total, sheared
+    if [m and m.session_uid for m in old.materials] != materials:
+        present = {m.session_uid: m for m in bpy.data.materials}
+        _set_materials(old, [present.get(m) for m in materials])
+    if now != old and now.users == 0:
+        bpy.data.meshes.remove(now)
+
+
+def _put_back(scene: bpy.types.Scene, uid: int) -> None:
+    """Undo that an object was taken from the collection."""
+    obj, collection = _object(uid), reals.collection_of(scene)
+    if obj is not None and collection is not None:
+        collection.objects.link(obj)
+
+
+def _object(uid: int) -> bpy.types.Object | None:
+    return next((o for o in bpy.data.objects if o.session_uid == uid), None)

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Objects that a bake has made of instances, so that each has texels of its own: found again, shown in place of their makers, removed.
+
+They stand in a collection of the scene and are in no light by themselves, because they are hidden in renders: in a bake the extraction
+takes the instance that each was made of, and gives it the mesh of the object. In the viewport they are hidden too, until Show Result.
+Which instance it is stands in a custom property: its name as extraction gives it, "Source[Maker.2.0]".
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable
+
+import bpy
+import numpy as np
+
+from . import stored
+from .stored import REAL, REALS
+
+
+def is_real(obj: bpy.types.Object) -> bool:
+    """Whether a bake has made `obj` of an instance."""
+    return stored.read(obj, REAL) is not None
+
+
+def maker_of(obj: bpy.types.Object) -> bpy.types.Object | None:
+    """Who made the instance that `obj` stands for; None where it was deleted."""
+    state = stored.read(obj, REAL)
+    return state.get("maker") if state is not None else None
+
+
+def maker_name(obj: bpy.types.Object) -> str:
+    """The name of `maker_of`, empty where there is none."""
+    maker = maker_of(obj)
+    return maker.name if maker is not None else ""
+
+
+def instance_name(obj: bpy.types.Object) -> str:
+    """The name that extraction has for the instance that `obj` was made of."""
+    return stored.read(obj, REAL)["instance"]
+
+
+def is_own(obj: bpy.types.Object) -> bool:
+    """Whether it stands for the faces of the instancer itself."""
+    return maker_of(obj) is not None and instance_name(obj) == maker_name(obj)
+
+
+def placed(obj: bpy.types.Object, matrix: list[float]) -> list[float]:
+    """The flat 4 x 4 matrix that brings the mesh of `obj` to where its instance is, whose matrix is `matrix`.
+
+    Of a sheared one, which no object can have, the mesh is in world space already.
+    """
+    return np.eye(4).ravel().tolist() if stored.read(obj, REAL)["sheared"] else matrix
+
+
+def collection_of(scene: bpy.types.Scene) -> bpy.types.Collection | None:
+    """The collection that holds them."""
+    return next((c for c in scene.collection.children if stored.read(c, REALS)), None)
+
+
+def objects_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """All of them in `scene`."""
+    collection = collection_of(scene)
+    return [o for o in collection.objects if o.type == "MESH" and is_real(o)] if collection is not None else []
+
+
+def of_makers(scene: bpy.types.Scene, names: Iterable[str]) -> list[bpy.types.Object]:
+    """Those that stand for instances of the makers `names`, or all where there are no names."""
+    wanted = set(names)
+    return [o for o in objects_of(scene) if not wanted or maker_name(o) in wanted]
+
+
+def may_make(obj: bpy.types.Object) -> bool:
+    """Whether an object that is no mesh can have instances."""
+    return obj.is_instancer or any(m.type == "NODES" for m in obj.modifiers)
+
+
+def rest(scene: bpy.types.Scene) -> None:
+    """Hide all of them."""
+    for obj in objects_of(scene):
+        obj.hide_viewport = True
+
+
+def remove(scene: bpy.types.Scene) -> int:
+    """Remove all of them with their meshes and the collection; returns their number. What another scene shows too stays there."""
+    collection = collection_of(scene)
+    if collection is None:
+        return 0
+    if any(c == collection for s in bpy.data.scenes if s != scene for c in s.collection.children_recursive):
+        scene.collection.children.unlink(collection)
+        return 0
+    made = objects_of(scene)
+    remove_objects([o.session_uid for o in made])
+    if collection.objects or collection.children:
+        del collection[REALS]  # the user has put something into it
+    else:
+        bpy.data.collections.remove(collection)
+    return len(made)
+
+
+def remove_objects(uids: Iterable[int]) -> None:
+    """Remove the mesh objects of these session_uids that are still there, with their meshes."""
+    wanted = set(uids)
+    objects = [o for o in bpy.data.objects if o.session_uid in wanted] if wanted else []
+    meshes = {o.data for o in objects}
+    bpy.data.batch_remove(objects)
+    bpy.data.batch_remove([m for m in meshes if m.users == 0])
+
+
+def checksum(mesh: bpy.types.Mesh) -> str:
+    """Of all that extraction reads of a mesh but its materials."""
+    parts = [(mesh.vertices, "co", 3, np.float32), (mesh.loops, "vertex_index", 1, np.int32), (mesh.polygons, "loop_start", 1, np.int32)]
+    parts += [(mesh.polygons, "material_index", 1, np.int32), (mesh.corner_normals, "vector", 3, np.float32)]
+    parts += [(layer.uv, "vector", 2, np.float32) for layer in mesh.uv_layers]
+    parts += [(layer.data, "color", 4, np.float32) for layer in mesh.color_attributes]
+    names = [layer.name for layer in (*mesh.uv_layers, *mesh.color_attributes)]
+    total = zlib.crc32(repr(names).encode())
+    for items, name, width, dtype in parts:
+        values = np.empty(len(items) * width, dtype)
+        items.foreach_get(name, values)
+        total = zlib.crc32(values.tobytes(), total)
+    return f"{total:08x}"
