@@ -264,7 +264,7 @@ def fingerprint() -> dict[str, object]:
         out[f"mesh {mesh.name}"] = _mesh(mesh)
     for obj in bpy.data.objects:
         slots = [(s.link, s.material.name if s.material else None) for s in obj.material_slots]
-        custom = {k: str(v) for k, v in obj.items() if k != RESULTS}
+        custom = _custom(obj, RESULTS)
         state = (obj.mode, obj.select_get() if obj.name in bpy.context.view_layer.objects else None, obj.hide_render, obj.hide_viewport)
         values = [repr(x) for row in obj.matrix_world for x in row] + [repr(x) for x in obj.scale]
         out[f"object {obj.name}"] = (values, slots, custom, state, [m.name for m in obj.modifiers], obj.data.name if obj.data else None)
@@ -292,7 +292,13 @@ def _mesh(mesh: bpy.types.Mesh) -> tuple[object, ...]:
         _digest(mesh.polygons, "material_index", 1),
     ]
     materials = [m.name if m else None for m in mesh.materials]
-    return geometry, layers, colors, materials, {k: str(v) for k, v in mesh.items() if k not in (STORED, SHARED, FACES, ABOUT)}
+    return geometry, layers, colors, materials, _custom(mesh, STORED, SHARED, FACES, ABOUT)
+
+
+def _custom(owner: bpy.types.ID, *ours: str) -> dict[str, str]:
+    """Custom properties but `ours`. Before Blender 5.0 groups of add-ons are among them, and merely reading one makes it, empty."""
+    values = {k: v.to_dict() if hasattr(v, "to_dict") else v for k, v in owner.items() if k not in ours}
+    return {k: str(v) for k, v in values.items() if v != {}}
 
 
 def _digest(items: object, name: str, width: int) -> str:
