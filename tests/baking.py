@@ -36,7 +36,7 @@ class Baked:
 
     values  (h, w, 3) float64 irradiance
     share   (h, w) float32 share of each texel's points that lie on the surface
-    whole   (h, w) bool: all points of the texel lie on one triangle, where Cycles samples the texel as we do
+    whole   (h, w) bool: see `on_one_triangle`
     layer   the UV layer
     lightmap, world   where the texels lie
     """
@@ -70,14 +70,23 @@ def lightmaps(req: BakeRequest) -> dict[str, Baked]:
     for sheet in made.writer.sheets:
         obj = bpy.data.objects[sheet.name]
         pixels = read_pixels(linked_image(obj, req.quantity)).astype(np.float64)
-        receivers = sheet.lightmap.receivers
-        first = receivers.start[:-1]
-        one = np.minimum.reduceat(receivers.triangle, first) == np.maximum.reduceat(receivers.triangle, first)
-        whole = (sheet.lightmap.image(one.astype(np.float32))[..., 0] > 0) & (sheet.lightmap.share == 1)
         out[sheet.name] = Baked(
-            pixels[..., :3], sheet.lightmap.share, whole, link(obj, req.quantity)["uv_layer"], sheet.lightmap, made.driver.world
+            pixels[..., :3],
+            sheet.lightmap.share,
+            on_one_triangle(sheet.lightmap),
+            link(obj, req.quantity)["uv_layer"],
+            sheet.lightmap,
+            made.driver.world,
         )
     return out
+
+
+def on_one_triangle(lightmap: Lightmap) -> np.ndarray:
+    """(h, w) bool: all points of the texel lie on one triangle, where Cycles samples the texel as we do."""
+    r = lightmap.receivers
+    first = r.start[:-1]
+    one = np.minimum.reduceat(r.triangle, first) == np.maximum.reduceat(r.triangle, first)
+    return (lightmap.image(one.astype(np.float32))[..., 0] > 0) & (lightmap.share == 1)
 
 
 def make_lightmap_uv(obj: bpy.types.Object, name: str = NAME, resolution: int = 512, padding: int = 4) -> str:
