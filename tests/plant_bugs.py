@@ -454,13 +454,6 @@ BUGS = (
         "tests/blender/test_extract_constants.py",
     ),
     Bug(
-        "ramps of constant steps are interpolated",
-        "adjoint_gi/bridge/extract/color_nodes.py",
-        'node.color_ramp.interpolation == "CONSTANT"',
-        'node.color_ramp.interpolation == "EASE"',
-        "tests/blender/test_extract_constants.py",
-    ),
-    Bug(
         "ranges that are the wrong way round are kept so",
         "adjoint_gi/bridge/extract/color_nodes.py",
         'node.clamp_type == "RANGE" and low > high',
