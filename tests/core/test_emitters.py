@@ -428,7 +428,7 @@ def test_mesh_density_is_the_same_from_both_sides():
     assert not world.occluded(origin[mesh], wi, s.distance[mesh], RayKind.SHADOW).any()
     triangle, _, _, t = world.intersect(origin[mesh], wi, RayKind.CAMERA)
     assert (triangle >= 2).all()
-    assert np.allclose(emitters.pdf_met(triangle, columns(wi), t), s.pdf_w[mesh], rtol=1e-3)
+    assert np.allclose(emitters.pdf_met(triangle, columns(wi), t, columns(origin[mesh])), s.pdf_w[mesh], rtol=1e-3)
 
 
 def test_light_points_and_rays_alone_agree_with_both_joined():

@@ -7,7 +7,7 @@ Vectors inside are component first, (3, n) float32; `Emitters.sample`, `pdf` and
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,7 @@ from .background import Background
 from .flux import LightFlux, light_flux
 from .lamps import Lamps
 from .mesh import MeshLights
+from .places import FEWEST, Places
 
 if TYPE_CHECKING:
     from ..scene.world import World
@@ -51,31 +52,40 @@ class LightSample:
     shadow: np.ndarray
 
 
-# Light points of emitters k (n,) of a part, whose probabilities are `pick` (k,), for origins (3, n), from two random numbers (n,).
+# Light points of emitters k (n,) of a part, picked with probabilities `pick` (n,), for origins (3, n), from two random numbers (n,).
 Draw = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray], LightSample]
 
 
 class _Table:
     """Picks from parts of the emitters by power. Each part has its importance (k,) and a function that draws light points from it."""
 
-    def __init__(self, parts: list[tuple[np.ndarray, Draw]]) -> None:
+    def __init__(self, parts: list[tuple[np.ndarray, Draw]], places: Callable[[np.ndarray], Places | None] = lambda power: None) -> None:
         parts = [p for p in parts if len(p[0])]
         self.power = np.concatenate([importance for importance, _ in parts]) if parts else np.zeros(0)
         table = PowerTable(self.power)
         self.count, self._index, self.probability = table.count, table.pick, table.probability
         self.pick = table.probability.astype(np.float32)
+        self.places = places(self.power)
         ends = np.cumsum([len(importance) for importance, _ in parts], dtype=np.int64)
         self._parts = [(int(end) - len(part[0]), int(end), part[1]) for end, part in zip(ends, parts, strict=True)]
 
+    def chance(self, p: np.ndarray, index: np.ndarray) -> np.ndarray:
+        """(n,) float32 probability with which emitters `index` (n,) are picked at points `p` (3, n)."""
+        return self.pick.take(index) if self.places is None else self.places.probability(p, index)
+
     def draw(self, p: np.ndarray, u: np.ndarray) -> LightSample:
         """Light points for ray origins `p` (3, n) from random numbers `u` (3, n)."""
-        index = self._index(u[0] if self.count <= COARSE else refined(u))
+        if self.places is not None:
+            index, pick = self.places.draw(p, refined(u))
+        else:
+            index = self._index(u[0] if self.count <= COARSE else refined(u))
+            pick = self.pick.take(index)
         if len(self._parts) == 1:
-            return self._parts[0][2](index, self.pick, p, u[1], u[2])
+            return self._parts[0][2](index, pick, p, u[1], u[2])
         out = LightSample(*(np.empty(shape, dtype) for shape, dtype in _layout(len(index))))
         for first, end, draw in self._parts:
             a = np.flatnonzero((index >= first) & (index < end))
-            part = draw(index[a] - first, self.pick[first:end], p[:, a], u[1][a], u[2][a])
+            part = draw(index[a] - first, pick[a], p[:, a], u[1][a], u[2][a])
             for name in LightSample.__dataclass_fields__:
                 getattr(out, name)[..., a] = getattr(part, name)
         return out
@@ -99,9 +109,9 @@ class Emitters:
         # One table over all; one for methods that treat the triangles as elements, and one for those that also trace the background.
         lamps = [(self.lamps.importance, self._draw_lamps)]
         outside = [*lamps, (self.background.importance, self._draw_background)] if self.draws_background else lamps
-        self._all = _Table([(self.mesh.importance, self._draw_triangles), *outside])
-        self._outside = _Table(outside)
-        self._lamps = _Table(lamps) if self.draws_background else self._outside
+        self._all = _Table([(self.mesh.importance, self._draw_triangles), *outside], self._places)
+        self._outside = _Table(outside, self._places)
+        self._lamps = _Table(lamps, self._places) if self.draws_background else self._outside
         self.power = self._all.power[: len(self.triangles) + self.lamps.count]
         self.mesh.set_pick(self._all.probability[: len(self.triangles)])
         self.density = self.mesh.density
@@ -112,6 +122,15 @@ class Emitters:
         self.shared = shared if len(shared) <= MOST_LAMPS else shared[:0]
         self._is_shared = np.zeros(self.lamps.count, bool)
         self._is_shared[self.shared] = True
+
+    def _places(self, power: np.ndarray) -> Places | None:
+        """Probabilities by place for a table of emitters of `power` (k,); None where power alone decides."""
+        lamps, k = self.lamps.outlook(), len(self.triangles)
+        if np.count_nonzero(power) < FEWEST or self.draws_background or not self.world.triangle_count:
+            return None
+        if len(power) > self.lamps.count:
+            lamps = self.mesh.outlook().joined(lamps) if k else lamps
+        return None if lamps.far.all() else Places(self.world, lamps, power)
 
     @cached_property
     def flux(self) -> LightFlux:
@@ -144,24 +163,24 @@ class Emitters:
         a, b = np.full(n, u, np.float32), np.full(n, v, np.float32)
         first = len(self.triangles)
         if index >= first:
-            return self._draw_lamps(np.full(n, index - first), np.ones(self.lamps.count, np.float32), p, a, b)
-        s = self._draw_triangles(np.full(n, index), self._all.pick, p, a, b)
-        return replace(s, pdf_w=s.pdf_w / self._all.pick[index])
+            return self._draw_lamps(np.full(n, index - first), np.ones(n, np.float32), p, a, b)
+        return self._draw_triangles(np.full(n, index), np.ones(n, np.float32), p, a, b)
 
     def _draw_triangles(self, k: np.ndarray, pick: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> LightSample:
-        # The densities of triangles contain the probability of their pick.
         yes, no = np.ones(len(k), bool), np.zeros(len(k), bool)
-        return LightSample(*self.mesh.sample(k, p, u, v), no, yes, yes)
+        wi, distance, radiance, pdf = self.mesh.sample(k, p, u, v)
+        # The densities of triangles contain the probability of their pick by power.
+        return LightSample(wi, distance, radiance, np.maximum(pdf * (pick / self._all.pick[k]), np.float32(1e-20)), no, yes, yes)
 
     def _draw_lamps(self, k: np.ndarray, pick: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> LightSample:
         wi, distance, radiance, pdf = self.lamps.sample(k, p, u, v)
-        pdf = np.maximum(pdf * pick[k], np.float32(1e-20))
+        pdf = np.maximum(pdf * pick, np.float32(1e-20))
         return LightSample(wi, distance, radiance, pdf, ~self.lamps.sized[k], self._is_shared[k], self.lamps.shadow[k])
 
     def _draw_background(self, k: np.ndarray, pick: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> LightSample:
         wi, distance, radiance, pdf = self.background.sample(k, p, u, v)
         yes, no = np.ones(len(k), bool), np.zeros(len(k), bool)
-        return LightSample(wi, distance, radiance, np.maximum(pdf * pick[k], np.float32(1e-20)), no, yes, yes)
+        return LightSample(wi, distance, radiance, np.maximum(pdf * pick, np.float32(1e-20)), no, yes, yes)
 
     def escaping(self, w: np.ndarray, pdf: np.ndarray | None = None, mesh: bool = True) -> np.ndarray:
         """(n, 3) float32 radiance of the background for rays along unit directions `w` (n, 3) that leave the scene.
@@ -173,9 +192,13 @@ class Emitters:
             radiance = radiance * sampling.power_heuristic(pdf, self._table(mesh, True).pick[-1] * self.background.pdf_w(w.T))
         return radiance.T
 
-    def pdf_met(self, triangle: np.ndarray, w: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    def pdf_met(self, triangle: np.ndarray, w: np.ndarray, distance: np.ndarray, origin: np.ndarray) -> np.ndarray:
         """(n,) density per solid angle with which `draw` finds the emitting `triangle` a ray along `w` (3, n) has hit at `distance`."""
-        return self.mesh.pdf_w(triangle, w, distance)
+        pdf = self.mesh.pdf_w(triangle, w, distance)
+        if self._all.places is None:
+            return pdf
+        index = self.mesh.number[triangle]
+        return pdf * (self._all.chance(origin, index) / self._all.pick[index])
 
     def lamps_met(
         self,
@@ -197,14 +220,15 @@ class Emitters:
         if not len(lamps):
             return None
         out = np.zeros_like(w)
-        pick = self._table(mesh, True).pick[len(self.triangles) if mesh else 0 :]
+        table, first = self._table(mesh, True), len(self.triangles) if mesh else 0
         nearer = {} if beyond is None else {i: seen.rows for i, seen in self.lamps.seen(o, w, beyond, lamps)}
         for i, seen in self.lamps.seen(o, w, distance, lamps):
             radiance = seen.radiance
             if i in nearer:
                 radiance = radiance * ~np.isin(seen.rows, nearer[i])
             if pdf is not None:
-                radiance = radiance * sampling.power_heuristic(pdf[seen.rows], pick[i] * seen.pdf_w)
+                chance = table.chance(o[:, seen.rows], np.full(len(seen.rows), first + i))
+                radiance = radiance * sampling.power_heuristic(pdf[seen.rows], chance * seen.pdf_w)
             out[:, seen.rows] += radiance
         return out
 

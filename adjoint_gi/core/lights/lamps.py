@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
+from ..scene.arrays import Light
 from ..scene.world import World
 from .area import AreaLights
 from .base import LampKind, LightKind, ParticleSource, Sample, Seen
+from .places import Outlook
 from .point import PointLights
 from .spot import SpotLights
 from .sun import SunLights
@@ -23,7 +26,7 @@ class Lamps:
     """
 
     def __init__(self, world: World) -> None:
-        lights = world.scene.lights
+        self.world, lights = world, world.scene.lights
         self.count = len(lights)
         members: dict[tuple[str, str], list[int]] = {}
         for index, light in enumerate(lights):
@@ -69,6 +72,19 @@ class Lamps:
             if len(found.rows):
                 yield i, found
 
+    def outlook(self) -> Outlook:
+        """Where the lamps are and how they shine, in the order of the scene."""
+        lights = self.world.scene.lights
+        position = np.array([x.position for x in lights], np.float64).reshape(-1, 3) - self.world.center
+        extent = [max(x.size_x, x.size_y) / 2 if x.kind == "area" else x.radius for x in lights]
+        area = np.array([x.size_x * x.size_y if x.kind == "area" else 1.0 for x in lights])
+        intensity = np.array([max(sum(x.color), 0.0) for x in lights]) * area
+        axis = -np.array([x.axis_z for x in lights], np.float64).reshape(-1, 3)
+        # An elliptic cone is taken for the round one around it.
+        edge = [_edge(x) if x.kind == "spot" else 0.0 if x.kind == "area" else -1.0 for x in lights]
+        lambert, far = (np.array([x.kind == kind for x in lights], bool) for kind in ("area", "sun"))
+        return Outlook(position, np.array(extent, float), intensity, axis, np.array(edge, float), lambert, far)
+
     def source(self, i: int) -> ParticleSource:
         """Lamp `i`, for shooting."""
         kind: LightKind = self.kinds[self._kind[i]]
@@ -77,3 +93,8 @@ class Lamps:
     def sources(self) -> list[ParticleSource]:
         """Those with some power, for shooting, in the order of the scene."""
         return [s for s in map(self.source, range(self.count)) if s.power > 0]
+
+
+def _edge(light: Light) -> float:
+    """Cosine of the widest angle to the axis at which a spot shines."""
+    return math.cos(math.atan(math.tan(min(light.spot_angle, 3.14) / 2) * max(*light.spot_scale, 1e-6)))

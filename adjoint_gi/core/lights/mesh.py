@@ -15,6 +15,7 @@ from ..sampling.maps import columns, cosine_directions, dot
 from ..scene.faces import points
 from ..scene.world import World
 from .base import LightKind, Rays, Sample
+from .places import Outlook
 
 TEXTURED_POINTS = 64  # points at which a textured triangle's mean emission is measured
 # Textured triangles are divided into about this many cells altogether, so that bright texels get their share of particles.
@@ -37,6 +38,8 @@ class MeshLights(LightKind):
         mean = _mean_emission(world)
         flux = 2 * np.pi * world.area * mean.sum(axis=1)  # both sides
         self.triangles = np.flatnonzero(flux > 0).astype(np.int32)
+        self.number = np.zeros(world.triangle_count, np.int32)  # of each triangle among those that emit
+        self.number[self.triangles] = np.arange(len(self.triangles))
         self.importance = flux[self.triangles]
         self.shadow = np.ones(len(self.triangles), bool)
         rows = world.rows[self.triangles]
@@ -55,6 +58,14 @@ class MeshLights(LightKind):
         area = np.maximum(self.world.area[self.triangles], 1e-300)
         self.density[self.triangles] = np.minimum(probability / area, 1e30)
         self._density = self.density[self.triangles]
+
+    def outlook(self) -> Outlook:
+        """Where the triangles are and how they shine: towards everywhere, from both sides."""
+        rows, k = self.world.rows[self.triangles].astype(np.float64), len(self.triangles)
+        middle = rows[:, 0:3] + (rows[:, 3:6] + rows[:, 6:9]) / 3
+        radius = np.maximum(*(np.linalg.norm(rows[:, a : a + 3], axis=1) for a in (3, 6))) * (2 / 3)
+        axis, everywhere, no = np.zeros((k, 3)), np.full(k, -1.0), np.zeros(k, bool)
+        return Outlook(middle, radius, self.importance / (4 * np.pi), axis, everywhere, no, no)
 
     # ---- gathering
 
