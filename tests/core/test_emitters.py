@@ -340,6 +340,22 @@ def test_textured_emission_is_drawn_where_it_shines():
     assert (error < 0.003 * exact).all() and (np.abs(mean - exact) < Z * error + 1e-5).all()
 
 
+def test_light_points_of_a_picture_lie_where_it_shines():
+    """One bright texel of 256: nearly every light point hits it, and the mean is what uniform points would give."""
+    pixels = np.zeros((16, 16, 4), np.float32)
+    pixels[5, 9, :3] = 256.0
+    b = floor()
+    material = Material("L", (Lobe("emission", Color((Term(ONE, (Source("image", texture=0),)),))),))
+    b.quad("Light", (-1, -1, 1.5), (2, 0, 0), (0, 2, 0), material)
+    scene = b.build()
+    world = World(scene.__class__(**{**scene.__dict__, "textures": (Texture("T", pixels, "EXTEND", "Closest"),)}))
+    values, _ = direct_irradiance(world, Emitters(world), at(world, 0.3, 0.1), 1, np.random.default_rng(1))
+    x, y = (-1 + (k + (np.arange(200) + 0.5) / 200) / 8 for k in (9, 5))
+    exact = 256 * (2.25 / ((x[:, None] - 0.3) ** 2 + (y - 0.1) ** 2 + 2.25) ** 2).mean() / 64
+    mean, error = values[:, 0].mean(dtype=float), values[:, 0].std(dtype=float) / math.sqrt(N)
+    assert error * math.sqrt(N) < 0.8 * exact and abs(mean - exact) < Z * error + 1e-4 * exact
+
+
 # ---- drawn points against met rays
 
 SIZED = {
@@ -426,9 +442,9 @@ def test_mesh_density_is_the_same_from_both_sides():
     mesh = np.flatnonzero(~s.delta)
     wi = np.ascontiguousarray(s.wi.T[mesh])
     assert not world.occluded(origin[mesh], wi, s.distance[mesh], RayKind.SHADOW).any()
-    triangle, _, _, t = world.intersect(origin[mesh], wi, RayKind.CAMERA)
-    assert (triangle >= 2).all()
-    assert np.allclose(emitters.pdf_met(triangle, columns(wi), t, columns(origin[mesh])), s.pdf_w[mesh], rtol=1e-3)
+    hit = world.intersect(origin[mesh], wi, RayKind.CAMERA)
+    assert (hit[0] >= 2).all()
+    assert np.allclose(emitters.pdf_met(hit, columns(wi), columns(origin[mesh])), s.pdf_w[mesh], rtol=1e-3)
 
 
 def test_light_points_and_rays_alone_agree_with_both_joined():

@@ -110,7 +110,7 @@ def look(world, kind, o, w):
     elif isinstance(kind, MeshLights):
         rows = np.flatnonzero((triangle >= 0) & np.isin(triangle, kind.triangles))
         radiance[:, rows] = kind.radiance(triangle[rows], u[rows], v[rows])
-        pdf[rows] = kind.pdf_w(triangle[rows], w[:, rows], t[rows])
+        pdf[rows] = kind.pdf_w(triangle[rows], w[:, rows], t[rows], u[rows], v[rows])
     else:
         radiance, pdf = kind.radiance(w), kind.pdf_w(w)
     return radiance, pdf

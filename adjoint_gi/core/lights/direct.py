@@ -139,7 +139,8 @@ def from_hits(
                 radiance = faces.emission_at(k, u.take(rows), v.take(rows))
             else:
                 radiance = columns(emission(k, u.take(rows), v.take(rows), -wi.T))
-            radiance *= sampling.power_heuristic(pdf.take(rows), emitters.pdf_met(k, wi, t.take(rows), origin.take(rows, axis=1)))
+            met = emitters.pdf_met(tuple(a.take(rows) for a in hit), wi, origin.take(rows, axis=1))
+            radiance *= sampling.power_heuristic(pdf.take(rows), met)
             yield rows, radiance
     if emitters.any_background:
         rows = np.flatnonzero(triangle < 0)

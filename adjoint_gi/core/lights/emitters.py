@@ -192,9 +192,13 @@ class Emitters:
             radiance = radiance * sampling.power_heuristic(pdf, self._table(mesh, True).pick[-1] * self.background.pdf_w(w.T))
         return radiance.T
 
-    def pdf_met(self, triangle: np.ndarray, w: np.ndarray, distance: np.ndarray, origin: np.ndarray) -> np.ndarray:
-        """(n,) density per solid angle with which `draw` finds the emitting `triangle` a ray along `w` (3, n) has hit at `distance`."""
-        pdf = self.mesh.pdf_w(triangle, w, distance)
+    def pdf_met(self, hit: tuple[np.ndarray, ...], w: np.ndarray, origin: np.ndarray) -> np.ndarray:
+        """(n,) density per solid angle with which `draw` finds the points of emitting triangles that rays along `w` (3, n) have hit.
+
+        `hit` is what `World.intersect` returned.
+        """
+        triangle, u, v, distance = hit
+        pdf = self.mesh.pdf_w(triangle, w, distance, u, v)
         if self._all.places is None:
             return pdf
         index = self.mesh.number[triangle]

@@ -15,6 +15,7 @@ from ..sampling.maps import columns, cosine_directions, dot
 from ..scene.faces import points
 from ..scene.world import World
 from .base import LightKind, Rays, Sample
+from .patches import Patches
 from .places import Outlook
 
 TEXTURED_POINTS = 64  # points at which a textured triangle's mean emission is measured
@@ -30,7 +31,8 @@ class MeshLights(LightKind):
     """The emissive triangles of a world. In `sample` and `importance` i counts `triangles`, in what is shot the emissive objects.
 
     triangles  (k,) int32 that emit
-    density    (nt,) float32 of `sample` per area on each triangle of the world, with the probability of its pick; 0 on what is dark
+    density    (nt,) float32 of `sample` per area on each triangle of the world, with the probability of its pick; 0 on what is dark.
+               Where emission varies it is the mean over the triangle
     """
 
     def __init__(self, world: World) -> None:
@@ -45,6 +47,7 @@ class MeshLights(LightKind):
         rows = world.rows[self.triangles]
         self._corner, self._e1, self._e2, self._ng = (columns(rows[:, a : a + 3]) for a in (0, 3, 6, 9))
         self._radiance = None if world.shading.emission_varies else columns(mean[self.triangles])
+        self._patches = Patches(world, self.triangles) if world.shading.emission_varies and self.any else None
         self.set_pick(np.ones(len(self.triangles)))
 
     @property
@@ -70,8 +73,8 @@ class MeshLights(LightKind):
     # ---- gathering
 
     def sample(self, i: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> Sample:
-        """Uniform points on the triangles; shadow rays end before they hit them."""
-        a, b = sampling.triangle(u, v)
+        """Points on the triangles, uniform or by what they emit; shadow rays end before they hit them."""
+        a, b, brighter = (*sampling.triangle(u, v), None) if self._patches is None else self._patches.sample(i, u, v)
         to = points(self._corner, self._e1, self._e2, i, a, b)
         to -= p
         distance = np.sqrt(dot(to, to))
@@ -79,7 +82,7 @@ class MeshLights(LightKind):
         cosine = np.abs(dot(to, self._ng.take(i, axis=1)))
         constant = self._radiance is not None
         radiance = self._radiance.take(i, axis=1) if constant else columns(self.world.shading.emission(self.triangles[i], a, b))
-        pdf = self._density.take(i)
+        pdf = self._density.take(i) if brighter is None else self._density.take(i) * brighter
         pdf *= distance
         pdf *= distance
         pdf /= np.maximum(cosine, np.float32(1e-6))
@@ -90,11 +93,12 @@ class MeshLights(LightKind):
         """(3, n) float32 that rays see which hit triangles of the world at barycentrics `u`, `v` (n,), from either side."""
         return columns(self.world.shading.emission(triangle, u, v))
 
-    def pdf_w(self, triangle: np.ndarray, w: np.ndarray, distance: np.ndarray) -> np.ndarray:
-        """(n,) density of `sample` for rays along `w` (3, n) that hit triangles of the world at `distance` (n,)."""
+    def pdf_w(self, triangle: np.ndarray, w: np.ndarray, distance: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n,) density of `sample` for rays along `w` (3, n) that hit triangles of the world at `distance` (n,) and barycentrics u, v."""
         ng = columns(self.world.rows[triangle, 9:12])
         cosine = np.maximum(np.abs(dot(w, ng)), np.float32(1e-6))
-        return self.density[triangle] * distance * distance / cosine
+        pdf = self.density[triangle] * distance * distance / cosine
+        return pdf if self._patches is None else pdf * self._patches.density(self.number[triangle], u, v)
 
     # ---- shooting
 
