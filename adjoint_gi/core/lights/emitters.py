@@ -20,7 +20,7 @@ from .background import Background
 from .flux import LightFlux, light_flux
 from .lamps import Lamps
 from .mesh import MeshLights
-from .places import FEWEST, Places
+from .places import FEWEST, LightPlaces
 
 if TYPE_CHECKING:
     from ..scene.world import World
@@ -59,7 +59,7 @@ Draw = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray], Li
 class _Table:
     """Picks from parts of the emitters by power. Each part has its importance (k,) and a function that draws light points from it."""
 
-    def __init__(self, parts: list[tuple[np.ndarray, Draw]], places: Callable[[np.ndarray], Places | None] = lambda power: None) -> None:
+    def __init__(self, parts: list[tuple[np.ndarray, Draw]], places: Callable[[np.ndarray], LightPlaces | None]) -> None:
         parts = [p for p in parts if len(p[0])]
         self.power = np.concatenate([importance for importance, _ in parts]) if parts else np.zeros(0)
         table = PowerTable(self.power)
@@ -123,14 +123,14 @@ class Emitters:
         self._is_shared = np.zeros(self.lamps.count, bool)
         self._is_shared[self.shared] = True
 
-    def _places(self, power: np.ndarray) -> Places | None:
+    def _places(self, power: np.ndarray) -> LightPlaces | None:
         """Probabilities by place for a table of emitters of `power` (k,); None where power alone decides."""
         lamps, k = self.lamps.outlook(), len(self.triangles)
         if np.count_nonzero(power) < FEWEST or self.draws_background or not self.world.triangle_count:
             return None
         if len(power) > self.lamps.count:
             lamps = self.mesh.outlook().joined(lamps) if k else lamps
-        return None if lamps.far.all() else Places(self.world, lamps, power)
+        return None if lamps.far.all() else LightPlaces(self.world, lamps, power)
 
     @cached_property
     def flux(self) -> LightFlux:

@@ -40,7 +40,7 @@ class Outlook:
         return Outlook(*(np.concatenate([getattr(self, n), getattr(other, n)]) for n in self.__dataclass_fields__))
 
 
-class Places:
+class LightPlaces:
     """Probabilities of emitters at points of a world. `power` (k,) float64, those of 0 are never picked."""
 
     def __init__(self, world: World, outlook: Outlook, power: np.ndarray) -> None:
