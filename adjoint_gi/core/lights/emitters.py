@@ -59,13 +59,13 @@ Draw = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray], Li
 class _Table:
     """Picks from parts of the emitters by power. Each part has its importance (k,) and a function that draws light points from it."""
 
-    def __init__(self, parts: list[tuple[np.ndarray, Draw]], places: Callable[[np.ndarray], LightPlaces | None]) -> None:
+    def __init__(self, parts: list[tuple[np.ndarray, Draw]], places: Callable[[np.ndarray], LightPlaces | None] | None = None) -> None:
         parts = [p for p in parts if len(p[0])]
         self.power = np.concatenate([importance for importance, _ in parts]) if parts else np.zeros(0)
         table = PowerTable(self.power)
         self.count, self._index, self.probability = table.count, table.pick, table.probability
         self.pick = table.probability.astype(np.float32)
-        self.places = places(self.power)
+        self.places = places(self.power) if places else None
         ends = np.cumsum([len(importance) for importance, _ in parts], dtype=np.int64)
         self._parts = [(int(end) - len(part[0]), int(end), part[1]) for end, part in zip(ends, parts, strict=True)]
 
