@@ -775,6 +775,27 @@ BUGS = (
         "np.where(elements.is_quad[element], 0.5, 0.5)",
         "tests/core/test_elements.py -k tenth_of",
     ),
+    Bug(
+        "light on elements is spread over what a wall stands on",
+        "adjoint_gi/core/elements/smooth.py",
+        "(e.outside[:, None], np.ones((e.count, 1)))",
+        "(np.ones((e.count, 1)), np.ones((e.count, 1)))",
+        "tests/core/test_inside.py -k elements",
+    ),
+    Bug(
+        "bodies that are open stay bodies wherever the point lies",
+        "adjoint_gi/core/receivers/inside.py",
+        "bodies.back(world, hit, direction) & bodies.open_towards(hit, point, ng)",
+        "bodies.back(world, hit, direction)",
+        "tests/core/test_inside.py -k no_body",
+    ),
+    Bug(
+        "the density of a lightmap follows the potential, not its root",
+        "adjoint_gi/core/flux/density.py",
+        "np.sqrt(potential / typical)",
+        "potential / typical",
+        "tests/core/test_density.py -k weights",
+    ),
 )
 
 

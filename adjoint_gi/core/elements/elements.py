@@ -13,11 +13,14 @@ import numpy as np
 
 from ..base.errors import MemoryRefused
 from ..receivers.base import POINTS_PER_CHUNK, Points, Receivers
+from ..receivers.inside import Interiors
+from ..sampling.additive import STEPS, additive
 from ..scene.arrays import SceneArrays
 from ..scene.world import Surface, World
 from .smooth import Nodes
 
 MAX_ELEMENTS = 20_000_000  # about 4 GB of element arrays
+LOOKS = 16, 256  # points of an element that show how much of it lies inside bodies: of each, and of those in part inside
 COLOR_GRID = 4  # textured colours are averaged over COLOR_GRID^2 points of an element
 SLIVER = 8.0  # a triangle gets at most SLIVER * area / max_edge^2 elements, so that long slivers do not explode
 
@@ -279,6 +282,25 @@ class Elements:
     def side(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, side: np.ndarray) -> np.ndarray:
         """(n,) int64 element side of points on the side (n,), +1 front or -1 back, of their triangles."""
         return 2 * self.locate(triangle, u, v) + (side < 0)
+
+    @cached_property
+    def outside(self) -> np.ndarray:
+        """(count,) float64 share of each element's front that no body stands on: what arrives on the whole arrived there."""
+        interiors, every = Interiors(self.world), np.arange(self.count)
+        share = self._outside(interiors, every, LOOKS[0])
+        part = np.flatnonzero((share > 0) & (share < 1))
+        share[part] = self._outside(interiors, part, LOOKS[1])
+        return share
+
+    def _outside(self, interiors: Interiors, element: np.ndarray, looks: int) -> np.ndarray:
+        """(n,) float64 share of `looks` points of each of `element` (n,) that lie inside no body."""
+        a, b = additive(np.arange(looks), STEPS[2], 0.5)
+        share, block = np.ones(len(element)), max(1, 32 * POINTS_PER_CHUNK // looks)
+        for first in range(0, len(element), block):
+            some = element[first : first + block]
+            point = self.point(np.repeat(some, looks), np.tile(a, len(some)), np.tile(b, len(some)))
+            share[first : first + block] -= interiors.hold(*point).reshape(-1, looks).mean(axis=1)
+        return share
 
     @cached_property
     def nodes(self) -> Nodes:

@@ -23,6 +23,7 @@ class GriddedElements(Protocol):
     upper: np.ndarray
     is_quad: np.ndarray
     area: np.ndarray
+    outside: np.ndarray
     quad: np.ndarray
     n: np.ndarray
     m: np.ndarray
@@ -110,14 +111,15 @@ class Nodes:
         return shared
 
     def values(self, values: np.ndarray) -> np.ndarray:
-        """(2 count, c) float32 node values: area-weighted means of the adjacent element sides' `values` (2 ne, c)."""
+        """(2 count, c) float32 node values: area-weighted means of the adjacent element sides' `values` (2 ne, c), of fronts over the
+        area that no body stands on, since nothing arrives below."""
         e = self.elements
-        weight = self.weight
         flat = self.of_element.ravel()
-        total = np.maximum(np.bincount(flat, weight.ravel(), self.count), 1e-300)
         out = np.empty((self.count, 2, values.shape[1]), np.float32)
         by_side = values.reshape(e.count, 2, values.shape[1])
-        for side in (0, 1):
+        for side, outside in enumerate((e.outside[:, None], np.ones((e.count, 1)))):
+            total = np.maximum(np.bincount(flat, (self.weight * outside).ravel(), self.count), 1e-300)
+            weight = self.weight * (outside > 0)
             for c in range(values.shape[1]):
                 product = weight * by_side[:, side, c, None]
                 out[:, side, c] = np.bincount(flat, product.ravel(), self.count) / total

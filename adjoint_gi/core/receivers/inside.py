@@ -1,13 +1,15 @@
 """Points of a surface that lie inside a body: below a wall that stands on the floor, where no light is and none is meant to be seen.
 
 A body is a piece of a mesh that is closed, or open only towards the plane that the point lies in, turned outward and opaque. From inside,
-rays meet the backs of its faces. What holds a lamp, an emitting face or the camera is a room and no body.
+rays meet the backs of its faces. What holds a lamp, an emitting face or the camera is a room and no body. A body that hovers by GAP of its
+width, or stands open in the floor down to SUNK of its extent, counts as if it stood on the surface.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -16,12 +18,15 @@ from ..sampling.additive import STEPS, additive
 from ..sampling.maps import cosine_directions
 from ..scene.arrays import ObjectArrays, RayKind
 from ..scene.topology import components, edge_pairs, weld
-from ..scene.world import World
+from ..scene.world import Surface, World
 
 CHUNK = 1 << 16  # points looked at in one go
 RAYS = 8  # from each point whose first ray met a back
 MOST = 6  # of them that meet backs of bodies from a point inside one
 FLAT = 1e-3  # how far from a plane its points may lie, of the extent of the body
+GAP = 0.01  # how far above a point a body may begin, of its width: so little light comes in there that none is meant
+SUNK = 0.05  # how far below a point the opening of a body may lie, of its extent: the surface closes it
+LEVEL = 0.999  # cosine between the plane of an opening and the surface that closes it
 CROSSINGS = 64  # faces that are counted along a ray
 SOURCES = 1024  # emitting faces that are looked for inside bodies
 PASSING = ("transparent", "refraction", "glass")
@@ -38,20 +43,33 @@ class Interiors:
         """(n,) bool: whether points of the fronts of `triangle` (n,) lie inside a body."""
         # Step 1: one ray along the normal, which costs little where nothing stands on anything.
         parts = [slice(a, a + CHUNK) for a in range(0, len(triangle), CHUNK)]
-        backs = list(in_order(lambda part: _back_above(self.world, triangle[part], u[part], v[part]), parts))
-        back = np.concatenate(backs) if backs else np.zeros(0, np.int32)
-        out = back >= 0
+        above = list(in_order(lambda part: self._above(triangle[part], u[part], v[part]), parts))
+        over = np.concatenate(above) if above else np.zeros(0, np.int32)
+        out = over >= 0
         if not out.any():
             return out
-        # Step 2: of those that met the back of a body, a few rays all around.
-        bodies = self._bodies(back[out])
+        # Step 2: of those that a body may be around, a few rays all around.
+        bodies = self._bodies(over[out])
         some = np.flatnonzero(out)
-        some = some[bodies.label[back[some]] >= 0]
+        some = some[bodies.label[over[some]] >= 0]
         out[:] = False
         for a in range(0, len(some), CHUNK):
             at = some[a : a + CHUNK]
             out[at] = _mostly_inside(self.world, bodies, triangle[at], u[at], v[at])
         return out
+
+    def _above(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n,) int32 what a ray along the normal meets first, if that is a back, or a front so near that its object may hover; else -1."""
+        ray = _up(self.world, triangle, u, v)
+        width = _across(self._extent[self.world.scene.object[ray.hit]], ray.surface.ng)
+        return np.where((ray.hit >= 0) & (ray.gap <= GAP * width), ray.hit, np.int32(-1))
+
+    @cached_property
+    def _extent(self) -> np.ndarray:
+        """(objects, 3) float32 size of the boxes around the objects, m."""
+        scene = self.world.scene
+        of = [scene.vertices[o.first_vertex : o.first_vertex + o.vertex_count] for o in scene.objects]
+        return np.array([np.ptp(v, axis=0) if len(v) else np.zeros(3) for v in of], np.float32).reshape(-1, 3)
 
     def _bodies(self, triangle: np.ndarray) -> Bodies:
         """Those of the objects that `triangle` (n,) are of."""
@@ -61,61 +79,87 @@ class Interiors:
         return self._known[objects]
 
 
-def _back_above(world: World, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """(n,) int32 triangle whose back a ray along the normal meets first; -1 where it meets a front or nothing."""
+@dataclass(frozen=True, eq=False)
+class _Up:
+    """Rays along the normals of `surface`: hit (n,) int32 triangle, -1 for none; gap (n,) float32 m to a front that is met, 0 to a back;
+    origin (n, 3) float32 of rays that look around from there: behind a front that is met."""
+
+    surface: Surface
+    hit: np.ndarray
+    gap: np.ndarray
+    origin: np.ndarray
+
+
+def _up(world: World, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> _Up:
     surface = world.surface(triangle, u, v)
-    hit = world.intersect(world.leave(surface), surface.ng, RayKind.DIFFUSE)[0]
-    facing = np.einsum("ij,ij->i", world.rows[hit, 9:12], surface.ng)
-    return np.where((hit >= 0) & (facing > 0), hit, -1)
+    origin = world.leave(surface)
+    hit, _, _, t = world.intersect(origin, surface.ng, RayKind.DIFFUSE)
+    front = (hit >= 0) & (np.einsum("ij,ij->i", world.rows[hit, 9:12], surface.ng) < 0)
+    gap = np.where(front, t, np.float32(0))
+    beyond = origin + (gap + 2 * world.offset[hit])[:, None] * surface.ng
+    return _Up(surface, hit, gap, np.where(front[:, None], beyond, origin))
+
+
+def _across(extent: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """(n,) the smaller size of boxes `extent` (n, 3) across the axis that `normal` (n, 3) follows most."""
+    along = np.argmax(np.abs(normal), axis=1)
+    return np.where(np.arange(3) == along[:, None], np.inf, extent).min(axis=1)
 
 
 def _mostly_inside(world: World, bodies: Bodies, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """(n,) bool: whether MOST of RAYS rays from the points meet backs of bodies first."""
-    surface = world.surface(triangle, u, v)
-    origin, point = world.leave(surface), surface.position.astype(np.float64)
+    up = _up(world, triangle, u, v)
+    ng, point = up.surface.ng, up.surface.position.astype(np.float64)
     square = additive(np.arange(RAYS), STEPS[2], 0.5)
     count = np.zeros(len(triangle), np.int64)
     for k in range(RAYS):
-        direction = cosine_directions(surface.ng, np.full(len(triangle), square[0, k]), np.full(len(triangle), square[1, k]))
-        hit = world.intersect(origin, direction, RayKind.DIFFUSE)[0]
-        count += bodies.back(world, hit, direction) & bodies.open_towards(hit, point)
-    return count >= MOST
+        direction = cosine_directions(ng, np.full(len(triangle), square[0, k]), np.full(len(triangle), square[1, k]))
+        hit = world.intersect(up.origin, direction, RayKind.DIFFUSE)[0]
+        count += bodies.back(world, hit, direction) & bodies.open_towards(hit, point, ng)
+    return (count >= MOST) & (up.gap <= GAP * _across(bodies.extent[bodies.label[up.hit]], ng))
 
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
     """label (nt,) int32 the body of each triangle, -1 where it is of none; plane (k, 4) float64 unit normal and offset of the plane that
-    the edges of body k lie in, and near (k,) how far from it a point may lie, infinite for one that is closed."""
+    the edges of body k lie in, the normal into the body, and near (k,) how far from it a point may lie, infinite for one that is closed;
+    extent (k, 3) float64 size of the box around each, m."""
 
     label: np.ndarray
     plane: np.ndarray
     near: np.ndarray
+    extent: np.ndarray
 
     @classmethod
     def of(cls, world: World, objects: Sequence[int]) -> Bodies:
         """Those of `objects`, except where a lamp, an emitting face or the camera is inside."""
-        label, planes, nears = np.full(world.triangle_count, -1, np.int32), [], []
+        label, found = np.full(world.triangle_count, -1, np.int32), []
         passing = np.array([not material.total(*PASSING).is_black for material in world.scene.materials])
         for index in objects:
             obj = world.scene.objects[index]
-            for triangles, plane, near in _pieces(world, obj):
+            for triangles, *body in _pieces(world, obj):
                 if not passing[world.scene.material[triangles]].any():
-                    label[triangles] = len(planes)
-                    planes.append(plane)
-                    nears.append(near)
-        bodies = cls(label, np.array(planes).reshape(-1, 4), np.array(nears))
+                    label[triangles] = len(found)
+                    found.append(body)
+        plane, near, extent = (np.array([body[k] for body in found]) for k in range(3))
+        bodies = cls(label, plane.reshape(-1, 4), near, extent.reshape(-1, 3))
+        if not found:
+            return bodies
         rooms = bodies._with_sources(world)
-        return cls(np.where(rooms[label] & (label >= 0), -1, label), bodies.plane, bodies.near) if len(planes) else bodies
+        return replace(bodies, label=np.where(rooms[label] & (label >= 0), -1, label))
 
     def back(self, world: World, hit: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """(n,) bool: whether rays that met `hit` (n,), -1 for none, met the back of a body."""
         return (hit >= 0) & (self.label[hit] >= 0) & (np.einsum("ij,ij->i", world.rows[hit, 9:12], direction) > 0)
 
-    def open_towards(self, hit: np.ndarray, point: np.ndarray) -> np.ndarray:
-        """(n,) bool: whether the body of `hit` is closed, or open only in a plane that `point` (n, 3) lies in."""
+    def open_towards(self, hit: np.ndarray, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """(n,) bool: whether the body of `hit` is closed, or open only in a plane that `point` (n, 3) lies in, or that lies a little
+        below the surface around the point, whose `normal` (n, 3) it has: the surface closes it."""
         body = self.label[hit]
         plane = self.plane[body]
-        return np.abs(np.einsum("ij,ij->i", plane[:, :3], point) - plane[:, 3]) <= self.near[body]
+        depth = np.einsum("ij,ij->i", plane[:, :3], point) - plane[:, 3]
+        below = (np.einsum("ij,ij->i", plane[:, :3], normal) > LEVEL) & (depth > 0) & (depth < SUNK * self.extent[body].max(axis=1))
+        return (np.abs(depth) <= self.near[body]) | below
 
     def _with_sources(self, world: World) -> np.ndarray:
         """(k,) bool: bodies that hold a lamp, an emitting face of something else, or the camera."""
@@ -150,8 +194,8 @@ def _sources(world: World) -> tuple[np.ndarray, np.ndarray]:
     return points.astype(np.float32), np.concatenate([np.full(len(places), -1), emitting]).astype(np.int64)
 
 
-def _pieces(world: World, obj: ObjectArrays) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """Triangles, plane and `near` of the connected pieces of `obj` that enclose a volume, turned outward."""
+def _pieces(world: World, obj: ObjectArrays) -> list[tuple[np.ndarray, np.ndarray, float, np.ndarray]]:
+    """Triangles, plane, `near` and extent (3,) of the connected pieces of `obj` that enclose a volume, turned outward."""
     place = world.scene.vertices[obj.first_vertex : obj.first_vertex + obj.vertex_count].astype(np.float64) - world.center
     index = world.scene.triangles[obj.triangles].astype(np.int64) - obj.first_vertex
     corner = weld(place)[index]
@@ -175,10 +219,12 @@ def _pieces(world: World, obj: ObjectArrays) -> list[tuple[np.ndarray, np.ndarra
         if len(rim) and np.abs(rim @ plane[:3] - plane[3]).max() > near:
             continue
         # Cones from a point of the plane have no volume over the opening.
-        around = points - (rim.mean(axis=0) if len(rim) else 0.5 * (low + high))
+        middle = rim.mean(axis=0) if len(rim) else 0.5 * (low + high)
+        around = points - middle
         volume = np.einsum("ij,ij->i", around[:, 0], np.cross(around[:, 1], around[:, 2])).sum() / 6
         if volume > 1e-9 * extent**3:
-            out.append((obj.first_triangle + part, plane, near))
+            inward = 1.0 if (0.5 * (low + high) - middle) @ plane[:3] >= 0 else -1.0
+            out.append((obj.first_triangle + part, inward * plane, near, high - low))
     return out
 
 

@@ -12,10 +12,12 @@ from ..scene.arrays import ObjectArrays, SceneArrays
 from ..scene.topology import components
 from ..scene.world import World
 from .base import SurfaceReceivers
+from .inside import Interiors
 
 DOMAINS = ("POINT", "CORNER")
 STEP = np.pi / 8  # one sample point for each such angle that a triangle spans at the vertex
 INSET = 0.05  # how far the points lie from the vertex, relative to the height of the triangle above the opposite edge
+FARTHER = (0.15, 0.35, 0.6, 0.9)  # insets tried where all points of a receiver lie inside a body that stands there
 NORMAL_CELL = 1e-3  # corner normals closer than this are the same
 
 
@@ -80,11 +82,33 @@ def vertex_receivers(world: World, objects: Sequence[int], domain: str = "CORNER
     if count == 0:
         raise TargetError(", ".join(scene.objects[i].name for i in objects), "has no face to receive light", "Choose an object with faces")
 
-    # Step 3: sample points, sorted by receiver.
-    owner, tri, u, v = _arc_points(world, np.concatenate(triangle), np.concatenate(corner), np.concatenate(receiver), inset)
+    # Step 3: sample points outside of bodies, sorted by receiver.
+    owner, tri, u, v = _outside(world, (np.concatenate(triangle), np.concatenate(corner), np.concatenate(receiver)), inset, count)
     order = np.argsort(owner, kind="stable")
     start = np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=count))])
     return VertexMap(SurfaceReceivers("vertices", start, tri[order], u[order], v[order]), domain, index)
+
+
+def _outside(world: World, arcs: tuple[np.ndarray, ...], inset: float, count: int) -> tuple[np.ndarray, ...]:
+    """As `_arc_points` of `arcs`, without points inside bodies. Where a receiver has no others, they are looked for farther away on its
+    faces, since its value is seen there as well; one that is inside as a whole keeps those at `inset`."""
+    interiors = Interiors(world)
+
+    def points(arcs: tuple[np.ndarray, ...], inset: float) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+        found = _arc_points(world, *arcs, inset)
+        return found, ~interiors.hold(*found[1:])
+
+    first, free = points(arcs, inset)
+    if free.all():
+        return first
+    pieces = [[x[free] for x in first]]
+    lacking = np.bincount(first[0][free], minlength=count) == 0
+    for farther in (x for x in FARTHER if x > inset):
+        found, free = points(tuple(x[lacking[arcs[2]]] for x in arcs), farther)
+        pieces.append([x[free] for x in found])
+        lacking[found[0][free]] = False
+    pieces.append([x[lacking[first[0]]] for x in first])
+    return tuple(np.concatenate(x) for x in zip(*pieces, strict=True))
 
 
 def corner_groups(scene: SceneArrays, obj: ObjectArrays) -> np.ndarray:
