@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
+import pytest
 from adjgi.adjoint_gi.bridge.baking import report
 from adjgi.adjoint_gi.bridge.baking.bake import Bake, BakeRequest
 from adjgi.adjoint_gi.core.method import registry
@@ -32,9 +33,23 @@ def test_a_ground_plane_leaves_the_room_its_texels_and_the_user_decides(register
     for name in got:
         bpy.data.objects[name].adjoint_gi_density = 0.25 if name == "Ceiling" else 1.0
         bpy.data.objects[name].data.uv_layers.remove(bpy.data.objects[name].data.uv_layers["Lightmap"])
+    assert [got[name]["weight"] for name in got].count(1.0) == 1 and sum(row["share"] for row in got.values()) > 0.999
     less, _ = given(resolution=128, atlas=True)
     ratio = less["Floor"]["texels_per_metre"] / less["Ceiling"]["texels_per_metre"]
     assert 3 < ratio * got["Ceiling"]["texels_per_metre"] / got["Floor"]["texels_per_metre"] < 5
+
+
+def test_a_changed_density_renews_our_layers_at_the_next_bake(registered):
+    for name in ("Left", "Right"):
+        plane(name, 2, at=(3 * (name == "Right"), 0))
+    before, _ = given(resolution=64, atlas=True)
+    bpy.data.objects["Left"].adjoint_gi_density = 0.25
+    after, bake = given(resolution=64, atlas=True)
+    assert before["Left"]["texels_per_metre"] == pytest.approx(before["Right"]["texels_per_metre"], rel=0.1)
+    assert after["Left"]["weight"] == pytest.approx(0.25, rel=0.15)
+    assert any(n.object == "Left" and "another density" in n.reason for n in bake.notices)
+    _, bake = given(resolution=64, atlas=True)
+    assert not any("made anew" in n.reason for n in bake.notices)
 
 
 def test_images_of_many_objects_follow_their_size_and_say_so():

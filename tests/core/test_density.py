@@ -84,6 +84,8 @@ def test_what_each_object_was_given():
     ground, floor, ceiling = given(world, [0, 1, 2], triangle)
     assert (ground.object, ground.texels, floor.texels, ceiling.texels) == ("Ground", 100, 400, 0)
     assert floor.texels_per_metre == pytest.approx(5) and ceiling.texels_per_metre == 0
+    assert (ground.share, floor.share, floor.weight) == pytest.approx((0.2, 0.8, 1.0))
+    assert ground.weight == pytest.approx(10 / 29 / 5)
 
 
 def test_images_of_many_objects_follow_their_size():

@@ -17,6 +17,22 @@ from adjgi.adjoint_gi.core.receivers.uv_check import check
 from adjgi.tests.scenes import icosphere
 
 
+def test_a_long_face_shrinks_no_other():
+    """A kerb of 200 m left its house front 7.6 of 154 texels a metre: only it gets fewer, along its length."""
+
+    def sheet(x, y):
+        return Mesh(np.array([[0, 0, 0], [x, 0, 0], [x, y, 0], [0, y, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]]), np.zeros(2, np.int64))
+
+    meshes = [sheet(200.0, 0.3), sheet(6.0, 3.0)]
+    found, plain = (unwrap(meshes, 256, (2,), squeeze=squeeze) for squeeze in (True, False))
+    size = [np.ptp(uv.reshape(-1, 2), axis=0) * 256 for uv in found.uvs]
+    assert found.squeezed.tolist() == [True, False] and not plain.squeezed.any() and plain.texels_per_metre < 1.3
+    assert found.texels_per_metre > 12 and np.sort(size[1]) == pytest.approx(found.texels_per_metre * np.array([3, 6]), rel=0.05)
+    assert size[0].max() > 100 and size[0].min() == pytest.approx(0.3 * found.texels_per_metre, rel=0.25)
+    # Where its length is no great loss to others, nothing is squeezed.
+    assert not unwrap([sheet(10.0, 3.0)], 256, (2,)).squeezed.any()
+
+
 def mesh(vertices, triangles, polygon=None):
     """A mesh as the bridge makes it: without triangles that have no area or lie nowhere."""
     vertices, triangles = np.asarray(vertices, np.float64), np.asarray(triangles, np.int64)

@@ -55,7 +55,7 @@ def unwrapping_to_density(
     density = density if len(names) > 1 else np.ones(1)
     wanted = request.texels_per_metre * (float(factors[0]) if len(names) == 1 else 1.0)
     if not wanted:
-        return (yield from _unwrapping(names, faces, side, density)), side, []
+        return (yield from _unwrapping(names, faces, side, density, squeeze=True)), side, []
     area = np.array([0.5 * face.area[face.good].sum() for face in faces])
     side = _side(float((area * factors**2).sum()), request)
     found = yield from _unwrapping(names, faces, side, density)
@@ -63,6 +63,9 @@ def unwrapping_to_density(
         better = _bounded(side * wanted / found.texels_per_metre, request.resolution)
         if better != side:
             side, found = better, (yield from _unwrapping(names, faces, better, density))
+    if found.texels_per_metre * CLOSE < wanted:
+        # The length of a few faces may be what keeps it from fitting.
+        found = yield from _unwrapping(names, faces, side, density, squeeze=True)
     notices = []
     if found.texels_per_metre * CLOSE < wanted:
         reason = f"only {found.texels_per_metre:.3g} texels a metre fit into {side} x {side}, not {wanted:.3g}"
@@ -94,9 +97,11 @@ def side_of(obj: bpy.types.Object, request: BakeRequest, side: int) -> int:
     return int(known) if known and request.texels_per_metre and not request.uv_layer else side
 
 
-def _unwrapping(names: Sequence[str], faces: Sequence[MeshFaces], side: int, density: np.ndarray) -> Steps[Unwrapped]:
+def _unwrapping(
+    names: Sequence[str], faces: Sequence[MeshFaces], side: int, density: np.ndarray, squeeze: bool = False
+) -> Steps[Unwrapped]:
     try:
-        return (yield from unwrapping([face.mesh for face in faces], side, paddings(side), density))
+        return (yield from unwrapping([face.mesh for face in faces], side, paddings(side), density, squeeze))
     except TargetError as error:
         raise TargetError(listed(list(names)), error.notice.reason, error.notice.remedy) from error
 

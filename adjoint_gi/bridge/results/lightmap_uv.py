@@ -218,10 +218,15 @@ def check_uv_layer(obj: bpy.types.Object, name: str, depsgraph: bpy.types.Depsgr
 
 def notices(objects: Sequence[bpy.types.Object], unwrapped: Unwrapped) -> list[Notice]:
     """What the user should know of how it was unwrapped."""
+    long = [obj for obj, squeezed in zip(objects, unwrapped.squeezed, strict=True) if squeezed]
+    told = []
+    if long:
+        reason = "has faces so long that they get fewer texels along their length, or the others would get few as well"
+        told.append(Notice(_listed(long), reason, "Cut long faces into shorter ones for more texels", "info"))
     if not unwrapped.projected:
-        return []
+        return told
     reason = f"the lightmap UVs are made by projection, which fills less of the image, because {unwrapped.projected}"
-    return [Notice(_listed(objects), reason, "Raise the resolution, or unwrap it yourself and name the UV layer", "info")]
+    return [*told, Notice(_listed(objects), reason, "Raise the resolution, or unwrap it yourself and name the UV layer", "info")]
 
 
 # ---- layers on meshes

@@ -100,20 +100,25 @@ def _from_inside(world: World, count: int, rng: np.random.Generator) -> Particle
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """What an object got of an image: texels, and texels a metre along an edge."""
+    """What an object got of an image: texels, texels a metre along an edge, its share of the texels that are covered, and its weight,
+    which is its texels a metre beside those of the densest object in the image."""
 
     object: str
     texels: int
     texels_per_metre: float
+    share: float
+    weight: float
 
 
 def given(world: World, objects: Sequence[int], triangle: np.ndarray) -> tuple[Given, ...]:
     """Of `objects`, whose texels have their first points on `triangle` (n,)."""
     texels = np.bincount(world.scene.object[triangle], minlength=len(world.scene.objects))
     area = [max(float(world.area[world.scene.objects[k].triangles].sum()), 1e-300) for k in objects]
-    return tuple(
-        Given(world.scene.objects[k].name, int(texels[k]), float(np.sqrt(texels[k] / a))) for k, a in zip(objects, area, strict=True)
-    )
+    many = texels[list(objects)].astype(np.float64)
+    density = np.sqrt(many / area)
+    share, weight = many / max(many.sum(), 1.0), density / max(density.max(initial=0.0), 1e-300)
+    rows = zip(objects, many, density, share, weight, strict=True)
+    return tuple(Given(world.scene.objects[k].name, int(m), float(d), float(s), float(w)) for k, m, d, s, w in rows)
 
 
 def own_resolutions(area: np.ndarray, resolution: int) -> np.ndarray:

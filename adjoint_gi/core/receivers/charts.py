@@ -9,7 +9,9 @@ import numpy as np
 
 from ..scene.topology import components, edge_pairs, uv_corner_ids, weld
 
+LONG = 2.0  # times as long as there is room for is what long charts are squeezed for: less halves the others at most
 CREASE = np.cos(np.radians(60))  # a sharper edge parts charts, so that light does not bleed around it
+EDGES = 64  # longest edges of a long chart that are looked at for its direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +68,36 @@ def islands(mesh: Mesh, xy: np.ndarray, chart: np.ndarray | None = None) -> np.n
     order = np.argsort(key, kind="stable")
     same = key[order][1:] == key[order][:-1]
     return components(len(xy), order[:-1][same] // 3, order[1:][same] // 3)
+
+
+def shortened(charts: Charts, side: float, full: float) -> tuple[Charts, np.ndarray]:
+    """`charts` with those squeezed along their lengths that are more than LONG times as long as there is room for, which is the side of
+    an image of `side` texels of which all together cover the share `full`; and (count,) bool which. One would make all others small.
+    """
+    xy, long = charts.xy.copy(), np.zeros(charts.count, bool)
+    for _ in range(charts.count):
+        # Step 1: the longest that an image has room for, m. Each round finds more, as the others grow by what those leave.
+        most = float(np.sqrt(np.abs(signed_areas(xy)).sum() / full))
+        low, high = Charts(xy, charts.chart).bounds()
+        more = np.flatnonzero((high - low).max(axis=1) > most * LONG)
+        if not len(more):
+            break
+        for chart in more:
+            # Step 2: turned so that the axes follow it: as one of its longest edges, or as it is.
+            own = charts.chart == chart
+            points = xy[own].reshape(-1, 2)
+            edge = (xy[own] - np.roll(xy[own], 1, axis=1)).reshape(-1, 2)
+            length = np.linalg.norm(edge, axis=1)
+            best = np.argsort(-length, kind="stable")[:EDGES]
+            c, s = np.append(edge[best] / np.maximum(length[best], 1e-300)[:, None], [[1.0, 0.0]], axis=0).T
+            ways = np.einsum("kij,nj->kni", np.array([[c, s], [-s, c]]).transpose(2, 0, 1), points - points.mean(axis=0))
+            turned = ways[np.argmin(np.prod(np.ptp(ways, axis=1), axis=1))]
+            # Step 3: only as wide as before, and as long as there is room.
+            size = np.ptp(turned, axis=0)
+            turned *= np.minimum(1.0, (1 - 1 / side) * most / np.maximum(size, 1e-300))
+            xy[own] = turned.reshape(-1, 3, 2)
+        long[more] = True
+    return Charts(xy, charts.chart), long
 
 
 def numbered(labels: np.ndarray) -> np.ndarray:

@@ -14,9 +14,9 @@ import numpy as np
 
 from ..base.errors import TargetError
 from ..base.steps import Steps, finish, within
-from .charts import Charts, Mesh, islands, join
+from .charts import Charts, Mesh, islands, join, shortened
 from .conformal import cut_off, making_charts
-from .pack import pack_again, pack_on_shelves, pack_tightly
+from .pack import FULL, pack_again, pack_on_shelves, pack_tightly
 from .projection import pieces, project
 from .uv_check import Faults, check
 
@@ -32,6 +32,7 @@ class Unwrapped:
     texels_per_metre scale of all charts of density 1, in an image of the resolution that was asked for
     padding          texels that are free between charts
     charts           number of charts
+    squeezed         (n,) bool meshes with charts so long that they have fewer texels along their lengths than the others
     covered          share of the texels that are covered
     projected        why the charts are our own projections; empty where they are those of xatlas
     """
@@ -40,20 +41,26 @@ class Unwrapped:
     texels_per_metre: float
     padding: int
     charts: int
+    squeezed: np.ndarray
     covered: float
     projected: str
 
 
-def unwrap(meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], density: np.ndarray | None = None) -> Unwrapped:
+def unwrap(
+    meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], density: np.ndarray | None = None, squeeze: bool = True
+) -> Unwrapped:
     """Unwrap `meshes` into one square image of `resolution` texels, with the first of `paddings` (texels between charts) that fits.
 
     density (n,) float64: how large the charts of each mesh are beside those of the others, along an edge; all alike where it is None.
+    squeeze: whether charts of great length may get fewer texels along it, so that the others do not.
     Raises TargetError when there are more charts than fit.
     """
-    return finish(unwrapping(meshes, resolution, paddings, density))
+    return finish(unwrapping(meshes, resolution, paddings, density, squeeze))
 
 
-def unwrapping(meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], density: np.ndarray | None = None) -> Steps[Unwrapped]:
+def unwrapping(
+    meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], density: np.ndarray | None = None, squeeze: bool = True
+) -> Steps[Unwrapped]:
     """The same in steps, each a call into xatlas or about a tenth of a second; it may run in any thread.
 
     xatlas holds Python's lock: 0.1 s for 2,000 triangles, 0.4 s for the largest region that it is given.
@@ -61,23 +68,25 @@ def unwrapping(meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int],
     density = np.ones(len(meshes)) if density is None else np.asarray(density, np.float64)
     try:
         charts = yield from within(_all_charts(meshes, making_charts), 0.0, CHARTS)
-        return (yield from within(_first_that_fits(meshes, charts, resolution, paddings, density, ""), CHARTS, 1.0))
+        return (yield from within(_first_that_fits(meshes, charts, resolution, paddings, density, "", squeeze), CHARTS, 1.0))
     except _Unfit as failure:
         reason = str(failure)
     except TargetError as error:
         reason = error.notice.reason
-    return (yield from within(projecting(meshes, resolution, paddings, reason, density), CHARTS, 1.0))
+    return (yield from within(projecting(meshes, resolution, paddings, reason, density, squeeze), CHARTS, 1.0))
 
 
 def by_projection(meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], reason: str) -> Unwrapped:
     """The same by our own projections on shelves, taken for a `reason`, which is not empty."""
-    return finish(projecting(meshes, resolution, paddings, reason, np.ones(len(meshes))))
+    return finish(projecting(meshes, resolution, paddings, reason, np.ones(len(meshes)), True))
 
 
-def projecting(meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], reason: str, density: np.ndarray) -> Steps[Unwrapped]:
-    """`by_projection` in steps, with the `density` of `unwrap`."""
+def projecting(
+    meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], reason: str, density: np.ndarray, squeeze: bool
+) -> Steps[Unwrapped]:
+    """`by_projection` in steps, with `density` and `squeeze` of `unwrap`."""
     charts = yield from within(_all_charts(meshes, _projected), 0.0, CHARTS)
-    return (yield from within(_first_that_fits(meshes, charts, resolution, paddings, density, reason), CHARTS, 1.0))
+    return (yield from within(_first_that_fits(meshes, charts, resolution, paddings, density, reason, squeeze), CHARTS, 1.0))
 
 
 def _all_charts(meshes: Sequence[Mesh], make: Callable[[Mesh], Steps[Charts]]) -> Steps[list[Charts]]:
@@ -103,24 +112,37 @@ class _Unfit(Exception):
 
 
 def _first_that_fits(
-    meshes: Sequence[Mesh], charts: list[Charts], resolution: int, paddings: Sequence[int], density: np.ndarray, projected: str
+    meshes: Sequence[Mesh],
+    charts: list[Charts],
+    resolution: int,
+    paddings: Sequence[int],
+    density: np.ndarray,
+    projected: str,
+    squeeze: bool,
 ) -> Steps[Unwrapped]:
     """The charts packed with the first padding that fits. Raises TargetError or, for charts of xatlas, _Unfit."""
     for padding in paddings[:-1]:
         try:
-            return (yield from _checked(meshes, charts, resolution, padding, density, projected))
+            return (yield from _checked(meshes, charts, resolution, padding, density, projected, squeeze))
         except TargetError:
             continue
-    return (yield from _checked(meshes, charts, resolution, paddings[-1], density, projected))
+    return (yield from _checked(meshes, charts, resolution, paddings[-1], density, projected, squeeze))
 
 
 def _checked(
-    meshes: Sequence[Mesh], charts: list[Charts], resolution: int, padding: int, density: np.ndarray, projected: str
+    meshes: Sequence[Mesh],
+    charts: list[Charts],
+    resolution: int,
+    padding: int,
+    density: np.ndarray,
+    projected: str,
+    squeeze: bool,
 ) -> Steps[Unwrapped]:
     """Pack, check and mend, a few times. Raises TargetError or, for charts of xatlas, _Unfit."""
     gap, scale = padding, 0.0
     for number in range(TRIES):
         flat = join(charts, density)
+        flat, long = shortened(flat, resolution, FULL) if squeeze else (flat, np.zeros(flat.count, bool))
         if projected:
             uv, scale = pack_on_shelves(flat, resolution, gap)
         elif scale:
@@ -139,7 +161,8 @@ def _checked(
             raise _Unfit(f"the charts of xatlas have {faults}")
         projected = f"{projected}; what is left is {faults}"
     stops = np.cumsum([len(mesh.triangles) for mesh in meshes])[:-1]
-    return Unwrapped(tuple(np.split(uv, stops)), scale, padding, faults.charts, faults.covered / resolution**2, projected)
+    squeezed = np.array([bool(part.any()) for part in np.split(long[flat.chart], stops)])
+    return Unwrapped(tuple(np.split(uv, stops)), scale, padding, faults.charts, squeezed, faults.covered / resolution**2, projected)
 
 
 def _mended(meshes: Sequence[Mesh], charts: list[Charts], faults: Faults) -> list[Charts]:
