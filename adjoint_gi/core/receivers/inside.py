@@ -93,11 +93,12 @@ class _Up:
 def _up(world: World, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> _Up:
     surface = world.surface(triangle, u, v)
     origin = world.leave(surface)
-    hit, _, _, t = world.intersect(origin, surface.ng, RayKind.DIFFUSE)
+    hit, hit_u, hit_v, t = world.intersect(origin, surface.ng, RayKind.DIFFUSE)
     front = (hit >= 0) & (np.einsum("ij,ij->i", world.rows[hit, 9:12], surface.ng) < 0)
     gap = np.where(front, t, np.float32(0))
-    beyond = origin + (gap + 2 * world.offset[hit])[:, None] * surface.ng
-    return _Up(surface, hit, gap, np.where(front[:, None], beyond, origin))
+    at = np.flatnonzero(front)
+    origin[at] = world.leave(world.surface(hit[at], hit_u[at], hit_v[at], -surface.ng[at]), np.ones(len(at), bool))
+    return _Up(surface, hit, gap, origin)
 
 
 def _across(extent: np.ndarray, normal: np.ndarray) -> np.ndarray:
