@@ -99,7 +99,7 @@ class DirectionalRadiosity(Solver):
         lobes = {replace(x, color=Color(), weight=1.0, stack=0) for x in own}
         parts = sum(LOBES[bsdf.LOBE_KINDS[x.kind]].parts * (1 + x.multiscatter) * (SHAPES if x.varies else 1) for x in lobes)
         bins = settings.bin_rows * settings.bin_columns
-        return bytes_needed(2 * count, bins, settings.rays, parts) + 600 * count + 1200 * receivers.count
+        return bytes_needed(2 * count, bins, settings.rays, parts, world.tints) + 600 * count + 1200 * receivers.count
 
     def solve(self, world: World, receivers: Receivers, settings: DirectionalSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield through all stages. Raises MemoryRefused before anything is made."""
@@ -120,7 +120,7 @@ class DirectionalRadiosity(Solver):
         yield from run.stage(run.transport.cast(), 0.3, 0.6, f"Rays of {len(arriving):,} element sides", run.pause)
         if run.emitters.any_background:
             sky = run.emitters.escaping(run.transport.middles()).reshape(arriving.shape)
-            arriving += run.transport.sky()[..., None] * sky
+            arriving += run.transport.sky() * sky
         run.check_lit(arriving)
 
         # 4. The system L = E + S (V L + I0).
@@ -184,6 +184,7 @@ class BinRun(DirectionalRun):
         area = self.basis.solid * self.transport.area[:, None, None]
         reflected = self.transport.share * self.scattering.apply(whole)
         gathered = self.transport.gather(emitted + reflected) + arriving
-        escaped = area * self.transport.sky()[..., None] * (emitted + reflected)
+        sent = area * (emitted + reflected)
+        escaped, taken = float((sent * self.transport.sky()).sum()), float((sent * self.transport.taken()).sum())
         total, unshot = float((area * (emitted + arriving)).sum()), float((area * (gathered - whole)).sum())
-        return EnergyBalance(total, float((area * (gathered - reflected)).sum()) - unshot, float(escaped.sum()), unshot)
+        return EnergyBalance(total, float((area * (gathered - reflected)).sum()) - unshot + taken, escaped, unshot)

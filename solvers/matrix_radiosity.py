@@ -79,7 +79,7 @@ class MatrixRadiosity(Solver):
     def memory(self, world: World, receivers: Receivers, settings: MatrixSettings) -> int:
         """At most this: as if light reached both sides of every element."""
         count = element_count(world, receivers, settings.max_edge, self.spec.elements)
-        return bytes_needed(2 * count, settings.rays) + 600 * count + 100 * receivers.count
+        return bytes_needed(2 * count, settings.rays, world.tints) + 600 * count + 100 * receivers.count
 
     def solve(self, world: World, receivers: Receivers, settings: MatrixSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield through all stages; partial results hold the direct light until the system is being relaxed."""

@@ -133,7 +133,9 @@ class Potential(Solver):
         count = element_count(world, receivers, settings.max_edge, self.spec.elements)
         system = 0
         if settings.solution == "relaxation":
-            system = bytes_needed(2 * count, settings.rays) if settings.factors == "matrix" else 2 * count * settings.rays * 40
+            per_ray = 100 if world.tints else 40
+            matrix = bytes_needed(2 * count, settings.rays, world.tints)
+            system = matrix if settings.factors == "matrix" else 2 * count * settings.rays * per_ray
         return system + count * 1000 + receivers.count * 500
 
     def solve(self, world: World, receivers: Receivers, settings: PotentialSettings, rng: np.random.Generator) -> Iterator[Step]:

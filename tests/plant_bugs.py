@@ -57,15 +57,15 @@ BUGS = (
     Bug(
         "Eq. 13 with F(ji)",
         "adjoint_gi/core/radiosity/transports.py",
-        "        return (self.factors[index].T @ flux) / self.area[:, None], self.sky[index] @ flux",
-        "        return self.factors[index].T @ (flux / self.area[index, None]), self.sky[index] @ flux",
+        "        return arrived / self.area[:, None], escaped\n\n\nclass RayTransport",
+        "        return arrived / self.area[index].mean(), escaped\n\n\nclass RayTransport",
         "tests/core/test_transports.py",
     ),
     Bug(
         "dropped reciprocity",
         "adjoint_gi/core/radiosity/transports.py",
-        "        return (self.factors.T @ (self.area[:, None] * y)) / self.area[:, None]",
-        "        return self.factors.T @ y",
+        "        return product(self.factors.swapaxes(-1, -2), self.area[:, None] * y) / self.area[:, None]",
+        "        return product(self.factors.swapaxes(-1, -2), y)",
         "tests/core/test_transports.py",
     ),
     Bug(
@@ -795,6 +795,27 @@ BUGS = (
         "np.sqrt(potential / typical)",
         "potential / typical",
         "tests/core/test_density.py -k weights",
+    ),
+    Bug(
+        "rays between elements keep only the grey of what they pass",
+        "adjoint_gi/core/elements/rays.py",
+        "                color[rows] *= passing.color(triangle[rows], u[rows], v[rows])",
+        "                color[rows] *= np.float32(1)",
+        "tests/methods/test_straight_through.py",
+    ),
+    Bug(
+        "closed forms take sides that let light through as whole",
+        "adjoint_gi/core/radiosity/factor_matrix.py",
+        "            exchange = piece.exchange / (share[i] * share[j])",
+        "            exchange = piece.exchange",
+        "tests/methods/test_straight_through.py",
+    ),
+    Bug(
+        "what tinted sheets take on the way of a shot is lost from the balance",
+        "adjoint_gi/core/radiosity/transports.py",
+        "            self.other = (share * rays[:, None]).sum(axis=0) - arrived.sum(axis=0)",
+        "            self.other = np.zeros(share.shape[1])",
+        "tests/methods/test_straight_through.py",
     ),
 )
 

@@ -114,10 +114,10 @@ def flux_by_radiance(detect: Detector, solution: Solution, elements: Elements | 
         weight = detect.share(e.rays(k, np.full(e.count, 0.5), np.full(e.count, 0.5))[1]) / e.count
         parts = (solution.emitted, solution.direct, solution.indirect)
         return Flux(np.stack([weight @ p.astype(np.float64) for p in parts]), none)
-    weight = np.repeat(elements.area, 2) * detect.on_elements(elements)
+    weight = np.repeat(elements.area, 2)[:, None] * detect.on_elements(elements)
     rho = np.repeat(elements.albedo, 2, axis=0)
     parts = (solution.emitted.astype(np.float64), rho * solution.direct, rho * solution.indirect)
-    return Flux(np.stack([weight @ p for p in parts]), none)
+    return Flux(np.stack([(weight * p).sum(axis=0) for p in parts]), none)
 
 
 def lamp_in_a_closed_box(solve: Callable[[ElementReceivers], Solution]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

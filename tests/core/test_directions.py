@@ -183,7 +183,7 @@ def test_eight_kirchhoff_cavity(rows, columns):
     """T8: walls that emit what they absorb, 1 - a by bins, hold L = 1 everywhere, to rounding."""
     faces = [WALLS, MIRROR, COATED, METAL, WALLS, COATED]
     t = transport_of(faces, rows, columns, block=METAL, edge=2.0)
-    inside = t.sky().max(axis=1) == 0
+    inside = t.sky().max(axis=(1, 2)) == 0
     emitted = (1 - t.scattering.apply(ones(t))) * inside[:, None, None]
     assert emitted.min() >= -1e-12
     arriving = np.zeros_like(emitted)

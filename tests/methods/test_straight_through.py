@@ -158,6 +158,70 @@ def test_elements_of_any_size_balance_in_a_furnace(name, noise):
         assert found == pytest.approx(np.pi, rel=noise or 1e-3), first
 
 
+COLOURED = {  # every way in which rays between elements are kept and used
+    "matrix": ("matrix_radiosity", {"rays": 2048}),
+    "matrix by Jacobi": ("matrix_radiosity", {"rays": 2048, "solver": "jacobi", "closed_forms": False}),
+    "progressive": ("progressive_radiosity", {"rays": 300_000}),
+    "stochastic": ("stochastic_jacobi", {"rays": 300_000}),
+    "bins": ("directional_radiosity", {"rays": 16}),
+    "bins by Jacobi": ("directional_radiosity", {"rays": 16, "solver": "jacobi"}),
+    "bins by Southwell": ("directional_radiosity", {"rays": 16, "strategy": "shooting"}),
+    "harmonics": ("spherical_harmonics", {"rays": 300_000}),
+}
+
+
+@pytest.mark.parametrize("way", COLOURED)
+def test_tinted_cards_in_a_furnace_are_invisible(way):
+    """As above by channel: each passes another share, and cards emit what is lost of it. No flux is lost on the way."""
+    name, options = COLOURED[way]
+    scene = furnace(0.8, (1.0, 0.5, 0.2))
+    u, v = grid(3)
+    for first in (8, 14):
+        receivers = quad_points(0.2 + 0.6 * u, 0.2 + 0.6 * v, first=first)
+        found = solve(name, World(scene), receivers, **options, max_edge=1.0, direct_light="elements")
+        assert found.quantity("irradiance").mean(axis=0) == pytest.approx(np.full(3, np.pi), rel=0.03), first
+        b = found.balance
+        assert b.absorbed + b.escaped + b.unshot == pytest.approx(b.emitted, rel=0.01 if "bins" in way else 1e-4)
+
+
+@pytest.mark.parametrize("way", COLOURED)
+def test_light_between_elements_takes_the_colour_of_sheets(way):
+    """Of a panel, and of the sky, over a black floor, all light taken from elements: it has exactly the colour of the sheet."""
+    name, options = COLOURED[way]
+    found = []
+    for layers in (0, 1):
+        b = under(sheet(TINT), None, layers)
+        b.quad("Panel", (-1, -1, 1.5), (0, 2, 0), (2, 0, 0), diffuse("Panel", 0.0, 2.0))
+        for x, y, dx, dy in ((-1, -1, 2, 0), (1, -1, 0, 2), (1, 1, -2, 0), (-1, 1, 0, -2)):
+            b.quad("Side", (x, y, 0), (dx, dy, 0), (0, 0, 1), diffuse("Black", 0.0))
+        b.background = (0.3, 0.3, 0.3)
+        found.append(
+            solve(name, World(b.build()), quad_points(*grid(2)), **options, max_edge=0.5, direct_light="elements").direct.mean(axis=0)
+        )
+    level = found[1] / found[0] / TINT
+    assert level == pytest.approx(np.full(3, level.mean()), rel=1e-4)
+    assert level.mean() == pytest.approx(1, rel=0.05)
+
+
+@pytest.mark.parametrize("scheme", ["jacobi", "southwell"])
+@pytest.mark.parametrize("factors", ["matrix", "rays"])
+@pytest.mark.parametrize("receivers", ["objects", "camera"])
+def test_potential_on_elements_takes_the_colour_of_sheets(receivers, factors, scheme):
+    """Light of a panel reaches a floor, and a camera that looks at it, through one sheet, or two: the way there and the way back."""
+    found = []
+    for layers in (0, 1):
+        b = under(sheet(TINT), None, layers, floor=0.5)
+        b.quad("Panel", (-1, -1, 1.5), (0, 2, 0), (2, 0, 0), diffuse("Panel", 0.0, 2.0))
+        b.camera = look((0, 0, 1.4), (0, 0, -1), size=4)
+        panel = quad_points(*grid(2), first=2 + 2 * layers)
+        options = {"receivers": receivers, "factors": factors, "scheme": scheme, "max_edge": 1.0}
+        options |= {"objects": "Floor"} if receivers == "objects" else {}
+        found.append(solve("potential", World(b.build()), panel, **options).direct.mean(axis=0))
+    passes = 1 if receivers == "objects" else 2
+    assert found[0].min() > 0
+    assert found[1] == pytest.approx(found[0] * np.array(TINT) ** passes, rel=0.06)
+
+
 @pytest.mark.parametrize("options", [{}, {"joined": False}, {"light_importance": False}, {"lobe_importance": False}, {"roulette": False}])
 def test_no_light_is_counted_twice_however_paths_find_it(options):
     """A large lamp and an emitting panel behind leaves that also reflect: every mix of techniques has the same mean."""

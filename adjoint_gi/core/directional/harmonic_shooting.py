@@ -116,15 +116,15 @@ class HarmonicShooting:
         coefficients = np.ascontiguousarray(out.transpose(1, 2, 0, 3)).reshape(len(index), self.basis.size, -1)
         plain = not coefficients[:, 1:].any()
 
-        def work(first: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        def work(first: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
             part = slice(first, first + RAYS_PER_TASK)
             side = index[who[part]]
             (a, b), w = self.caster.cosine(number[part], side)
-            met, arrives = self.caster.trace(side, a, b, w)
+            met, arrives, color = self.caster.trace(side, a, b, w)
             mine = coefficients[:, 0] / np.sqrt(2 * np.pi) if plain else coefficients
             mine = mine[who[part]]
             radiance = mine if plain else np.einsum("na,nak->nk", self.basis.values(w), mine)
-            return met, arrives, radiance
+            return met, arrives, radiance, color
 
         pieces = list(in_order(work, range(0, len(who), RAYS_PER_TASK)))
         met, arrives, radiance = (np.concatenate([p[i] for p in pieces]) for i in range(3))
@@ -132,6 +132,11 @@ class HarmonicShooting:
         if not plain:
             exact = self.area[index, None] * np.einsum("a,mak->mk", self.basis.flux, coefficients)
             flux = _without_ringing(flux, exact, who, rays, self.scattering.passes[index >> 1])
+        if self.caster.tinted:
+            arriving = flux * np.tile(np.concatenate([p[3] for p in pieces]), (1, len(used)))
+            # What surfaces on the way have taken.
+            self.absorbed += (flux - arriving).sum(axis=0).reshape(-1, 3).sum(axis=0)
+            flux = arriving
         self._land(met, arrives, flux, used, classes)
 
     def _land(self, met: np.ndarray, arrives: np.ndarray, flux: np.ndarray, used: np.ndarray, classes: int) -> None:

@@ -47,21 +47,22 @@ class DirectionalRays(ElementRays):
         u = shifted_points(number, stream).astype(np.float32)
         return u[:2], polar_rows(u[2], TWO_PI * u[3])
 
-    def trace(self, side: np.ndarray, a: np.ndarray, b: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Sides met (n,) int64, -1 where rays escape, and the directions (n, 3) in their frames from which the rays arrive there."""
+    def trace(self, side: np.ndarray, a: np.ndarray, b: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Sides met (n,) int64, -1 where rays escape, the directions (n, 3) in their frames from which rays arrive, and colour."""
         origin, direction = self.start(side, a, b), self.to_world(side, w)
-        triangle, u, v = self.meet(origin, direction, self.frames[side, 2])
+        triangle, u, v, color = self.meet(origin, direction, self.frames[side, 2])
         hit = np.flatnonzero(triangle >= 0)
         met, arrives = np.full(len(side), -1, np.int64), np.zeros((len(side), 3), np.float32)
         behind = np.einsum("ij,ij->i", self._normals[triangle[hit]], direction[hit]) > 0
         met[hit] = 2 * self.elements.locate(triangle[hit], u[hit], v[hit]) + behind
         arrives[hit] = self.to_local(met[hit], -direction[hit])
-        return met, arrives
+        return met, arrives, color
 
-    def cast(self, side: np.ndarray, number: np.ndarray, stream: np.ndarray) -> np.ndarray:
+    def cast(self, side: np.ndarray, number: np.ndarray, stream: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """As in `ElementRays`, with directions of the frames used here."""
         (a, b), w = self.cosine(number, stream)
-        return self.trace(side, a, b, w)[0]
+        met, _, color = self.trace(side, a, b, w)
+        return met, color
 
 
 # Takes light that arrives: sides (m,), directions in their frames (m, 3), and what it adds to the irradiance (m, 3).
@@ -92,9 +93,10 @@ class ArrivingLight:
                 found.append(self._lamps(side, a, b, np.random.default_rng([5, first])))
                 rays += len(side)
             if self.background:
-                met, _ = self.caster.trace(side, a, b, w)
+                met, _, color = self.caster.trace(side, a, b, w)
                 out = np.flatnonzero(met < 0)
-                found.append((side[out], w[out], np.pi * self.emitters.escaping(self.caster.to_world(side[out], w[out]))))
+                value = np.pi * self.emitters.escaping(self.caster.to_world(side[out], w[out]))
+                found.append((side[out], w[out], value if color is None else value * color[out]))
                 rays += len(side)
             return first, found, rays
 

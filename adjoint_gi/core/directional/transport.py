@@ -26,6 +26,7 @@ class DirectionalTransport:
     """Rays between (side, bin) pairs, sparse, and the scattering between them.
 
     met (n bins rays,) int32: pair j * bins + e that each ray meets, -1 where it escapes; rays of a pair follow one another.
+    color (n bins rays, 3) float32: what rays take from tinted surfaces that they pass; None where there are none.
     """
 
     def __init__(self, caster: DirectionalRays, bins: Bins, scattering: Scattering, rays: int) -> None:
@@ -34,6 +35,7 @@ class DirectionalTransport:
         self.area, self.share = e.held.area, e.held.share[:, None, None]
         self.count = 2 * e.count
         self.met = np.zeros(0, np.int32)
+        self.color: np.ndarray | None = None
         self._order: tuple[np.ndarray, np.ndarray] | None = None
 
     def cast(self) -> Iterator[float]:
@@ -42,20 +44,22 @@ class DirectionalTransport:
         block = max(1, RAYS_PER_TASK // per)
         pieces = []
 
-        def work(first: int) -> np.ndarray:
+        def work(first: int) -> tuple[np.ndarray, np.ndarray | None]:
             pair = np.repeat(np.arange(first * k, min(first + block, self.count) * k), self.rays)
             number = np.tile(np.arange(self.rays), len(pair) // self.rays)
             side = pair // k
             # One set over all rays of a side for the places, so that its bins do not share a few; one of each bin for directions.
             u = shifted_points(pair % k * self.rays + number, side).astype(np.float32)
             p = shifted_points(number, pair)
-            met, w = self.caster.trace(side, u[0], u[1], self.bins.directions(pair % k, p[2], p[3]))
-            return np.where(met < 0, -1, met * k + self.bins.of(w)).astype(np.int32)
+            met, w, color = self.caster.trace(side, u[0], u[1], self.bins.directions(pair % k, p[2], p[3]))
+            return np.where(met < 0, -1, met * k + self.bins.of(w)).astype(np.int32), color
 
         for done, piece in enumerate(in_order(work, range(0, self.count, block)), 1):
             pieces.append(piece)
             yield min(1.0, done * block / max(1, self.count))
-        self.met = np.concatenate(pieces) if pieces else self.met
+        if pieces:
+            self.met = np.concatenate([met for met, _ in pieces])
+            self.color = np.concatenate([color for _, color in pieces]) if self.caster.tinted else None
 
     # ---- operators
 
@@ -66,7 +70,10 @@ class DirectionalTransport:
     def arriving(self, padded: np.ndarray, first: int, last: int) -> np.ndarray:
         """V: what arrives on sides `first` to `last`, (m, bins, 3), of a `field` of leaving radiance."""
         per = self.bins.size * self.rays
-        light = padded.take(self.met[first * per : last * per], axis=0, mode="wrap")
+        rays = slice(first * per, last * per)
+        light = padded.take(self.met[rays], axis=0, mode="wrap")
+        if self.color is not None:
+            light *= self.color[rays]
         return light.reshape(-1, self.rays, 3).mean(axis=1).reshape(last - first, self.bins.size, 3)
 
     def blocks(self) -> Iterator[tuple[int, int]]:
@@ -86,7 +93,7 @@ class DirectionalTransport:
         hit = np.flatnonzero(self.met >= 0)
         pair, target = hit // self.rays, self.met[hit]
         weighted = (self.area[:, None, None] * y / self.rays).reshape(-1, 3)
-        out = np.stack([np.bincount(target, weighted[pair, c], len(weighted)) for c in range(3)], axis=1)
+        out = np.stack([np.bincount(target, self._colored(weighted[pair, c], hit, c), len(weighted)) for c in range(3)], axis=1)
         return out.reshape(x_shape(self)) / np.maximum(self.area, 1e-300)[:, None, None]
 
     def apply(self, x: np.ndarray) -> np.ndarray:
@@ -102,8 +109,20 @@ class DirectionalTransport:
         return self.bins.solid * self.area * np.abs(x).sum(axis=(1, 2))
 
     def sky(self) -> np.ndarray:
-        """(n, bins) share of the rays of every pair that escapes."""
-        return (self.met < 0).reshape(-1, self.rays).mean(axis=1).reshape(self.count, self.bins.size)
+        """(n, bins, 1) share of the rays of every pair that escapes; (n, bins, 3) by channel where surfaces on their way are tinted."""
+        out = (self.met < 0)[:, None]
+        return self._mean(out if self.color is None else out * self.color)
+
+    def taken(self) -> np.ndarray:
+        """(n, bins, 3) share of what every pair sends that surfaces on the way take; (1,) zero where none is tinted."""
+        return np.zeros(1) if self.color is None else 1 - self._mean(self.color)
+
+    def _mean(self, x: np.ndarray) -> np.ndarray:
+        """Means (n, bins, c) over the rays of each pair, of x (n bins rays, c)."""
+        return x.reshape(-1, self.rays, x.shape[1]).mean(axis=1).reshape(self.count, self.bins.size, -1)
+
+    def _colored(self, values: np.ndarray, ray: np.ndarray, channel: int) -> np.ndarray:
+        return values if self.color is None else values * self.color[ray, channel]
 
     def middles(self) -> np.ndarray:
         """(n bins, 3) float32 unit directions in the world of the middles of every pair's bin."""
@@ -172,6 +191,8 @@ class DirectionalTransport:
             many = start[index + 1] - start[index]
             rays = ray[np.arange(int(many.sum())) - np.repeat(np.cumsum(many) - many, many) + np.repeat(start[index], many)]
             sent = unshot.reshape(-1, 3)[self.met[rays]] / self.rays
+            if self.color is not None:
+                sent *= self.color[rays]
             unshot[index] = 0.0
             pair = rays // self.rays
             light = np.stack([np.bincount(pair, sent[:, c], self.count * k) for c in range(3)], axis=1).reshape(x_shape(self))
@@ -205,7 +226,8 @@ def pairs_needed(bins: int) -> int:
     return min(max(PAIRS, 64 * bins), 1 << 20)
 
 
-def bytes_needed(sides: int, bins: int, rays: int, parts: int) -> int:
-    """Memory of the rays, both ways, of the fields, and of `parts` scattering matrices with what it takes to make them."""
+def bytes_needed(sides: int, bins: int, rays: int, parts: int, tinted: bool) -> int:
+    """Memory of the rays, both ways, coloured where any surface is `tinted`, of the fields, and of `parts` scattering matrices with what it
+    takes to make them."""
     matrices = (parts + 3) * 4 * 8 * bins * bins + 400 * pairs_needed(bins) if parts else 0
-    return sides * bins * (12 * rays + 9 * 24) + matrices + (64 << 20)
+    return sides * bins * ((36 if tinted else 12) * rays + 9 * 24) + matrices + (64 << 20)

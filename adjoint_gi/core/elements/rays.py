@@ -32,6 +32,7 @@ class ElementRays:
     def __init__(self, elements: Elements) -> None:
         self.elements = elements
         self.world = elements.world
+        self.tinted = self.world.tints
         # One row an element: corner, the edges along local a and b, and the frame t1, t2, n for directions. t1 lies along an edge and is
         # not that of `maps.frame`, so that the fixed sets of rays lie in the same way on elements that are alike.
         index = np.arange(elements.count)
@@ -62,22 +63,26 @@ class ElementRays:
         direction += z * normal
         return origin, direction, normal
 
-    def cast(self, side: np.ndarray, number: np.ndarray, stream: np.ndarray) -> np.ndarray:
-        """(n,) int64 sides met by rays from `side` (n,), -1 where they escape. `number` and `stream` pick the ray."""
+    def cast(self, side: np.ndarray, number: np.ndarray, stream: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """(n,) int64 sides met by rays from `side` (n,), -1 where they escape, and their colour as of `meet`. `number` and `stream` pick
+        the ray."""
         origin, direction, normal = self.start(side, number, stream)
-        triangle, tu, tv = self.meet(origin, direction, normal)
+        triangle, tu, tv, color = self.meet(origin, direction, normal)
         hit = np.flatnonzero(triangle >= 0)
         out = np.full(len(side), -1, np.int64)
         met = triangle[hit]
         behind = np.einsum("ij,ij->i", self._normals[met], direction[hit]) > 0
         out[hit] = 2 * self.elements.locate(met, tu[hit], tv[hit]) + behind
-        return out
+        return out, color
 
-    def meet(self, origin: np.ndarray, direction: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def meet(
+        self, origin: np.ndarray, direction: np.ndarray, normal: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
         """Triangle (n,) int32, -1 where none, and barycentrics u, v (n,) where rays from points with `normal` stay, all (n, 3) float32.
 
         Where surfaces let light straight through, a ray stays or goes on as a whole: to rays such a surface is the part of itself that
-        `Elements.held` describes.
+        `Elements.held` describes. Last, the colour (n, 3) float32 that rays have taken from what they passed, over the chance of passing;
+        None where no surface of the scene tints.
         """
         hit = triangle, u, v, _ = self.world.intersect(origin, direction, RayKind.DIFFUSE)
         # A ray can slip through exactly at an edge: misses get a second chance a hair beside.
@@ -86,25 +91,29 @@ class ElementRays:
             nudged = direction[missed] + np.float32(1e-4) * normal[missed]
             triangle[missed], u[missed], v[missed], _ = self.world.intersect(origin[missed], nudged, RayKind.DIFFUSE)
         passing = self.world.passing
+        color = np.ones((len(origin), 3), np.float32) if self.tinted else None
         rows = np.flatnonzero(passing.lets[triangle]) if passing is not None else missed[:0]
         for layer in range(MOST_LAYERS):
             if not len(rows):
                 break
             chance = passing.grey(triangle[rows], u[rows], v[rows])
             rows = rows[_luck(origin[rows], direction[rows], layer) < chance]
+            if color is not None:
+                color[rows] *= passing.color(triangle[rows], u[rows], v[rows])
             self.world.onward(origin, direction, RayKind.DIFFUSE, hit, rows)
             rows = rows[passing.lets[triangle[rows]]]
-        return triangle, u, v
+        return triangle, u, v, color
 
-    def rows(self, sides: np.ndarray, rays: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Rays 0..`rays` from each of the sides, over threads, in order: pieces of (sides (m,), sides met (m, rays) int32)."""
+    def rows(self, sides: np.ndarray, rays: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | None]]:
+        """Rays 0..`rays` from each of the sides, over threads, in order: pieces of (sides (m,), sides met (m, rays) int32, colour of the
+        rays (m rays, 3) float32 or None)."""
         block = max(1, RAYS_PER_TASK // rays)
 
-        def work(first: int) -> tuple[np.ndarray, np.ndarray]:
+        def work(first: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
             part = sides[first : first + block]
             owner = np.repeat(part, rays)
-            met = self.cast(owner, np.tile(np.arange(rays), len(part)), owner)
-            return part, met.reshape(len(part), rays).astype(np.int32)
+            met, color = self.cast(owner, np.tile(np.arange(rays), len(part)), owner)
+            return part, met.reshape(len(part), rays).astype(np.int32), color
 
         yield from in_order(work, range(0, len(sides), block))
 

@@ -43,7 +43,7 @@ class Detector:
     unit: str
 
     def on_elements(self, elements: Elements) -> np.ndarray:
-        """(2 ne,) float64: g of every element side, its mean over the side and, by the cosine, over its directions."""
+        """(2 ne, 3) float64: g of every element side, its mean over the side and, by the cosine, over its directions."""
         raise TypeError(f"{type(self).__name__} does not define on_elements()")
 
 
@@ -69,7 +69,7 @@ class FaceDetector(Detector):
         """1 on the sides of these faces."""
         out = np.repeat(self.mask[elements.patch_triangle[elements.patch]].astype(np.float64), 2)
         out[1::2] *= self.both
-        return out
+        return np.repeat(out[:, None], 3, axis=1)
 
     def on_receivers(self, world: World, receivers: Receivers) -> np.ndarray:
         """(n, 3) float32: g of other receivers, the share of each one's points that are in the set."""
@@ -126,27 +126,29 @@ class CameraDetector(Detector):
         """A g = integral over the picture of the share / pi, from a fixed grid of rays: a diffuse side sends B / pi to the camera."""
         columns = max(1, round(np.sqrt(CAMERA_RAYS * self.eye.width / self.eye.height)))
         rows = max(1, CAMERA_RAYS // columns)
-        total = np.zeros(2 * elements.count)
+        total = np.zeros((2 * elements.count, 3))
         for first in range(0, rows * columns, SAMPLES_PER_BATCH):
             k = np.arange(first, min(first + SAMPLES_PER_BATCH, rows * columns))
             lens = additive(k, STEPS[2])
             o, d = self.rays((k % columns + 0.5) / columns, (k // columns + 0.5) / rows, lens.astype(np.float32))
             self._add(total, elements, o, d)
-        return total / (rows * columns) / np.pi / np.maximum(np.repeat(elements.area, 2), 1e-300)
+        return total / (rows * columns) / np.pi / np.maximum(np.repeat(elements.area, 2), 1e-300)[:, None]
 
     def _add(self, total: np.ndarray, elements: Elements, o: np.ndarray, d: np.ndarray) -> None:
-        """Add to `total` (2 ne,) the share of rays at every side that they see, through what lets light straight through, too."""
-        passing, share = self.world.passing, self.share(d).astype(np.float64)
+        """Add to `total` (2 ne, 3) the share of rays at every side that they see, through what lets light straight through, too."""
+        passing, share = self.world.passing, np.repeat(self.share(d).astype(np.float64)[:, None], 3, axis=1)
         hit = triangle, u, v, t = tuple(np.array(a) for a in self.world.intersect(o, d, RayKind.CAMERA))
         rows = np.flatnonzero((triangle >= 0) & (t <= self.reach(d)))
         for _ in range(MOST_LAYERS):
             at = triangle[rows], u[rows], v[rows]
             facing = np.where(np.einsum("ij,ij->i", self.world.rows[at[0], 9:12], d[rows]) > 0, -1, 1)
-            total += np.bincount(elements.side(*at, facing), share[rows], len(total))
+            side = elements.side(*at, facing)
+            for c in range(3):
+                total[:, c] += np.bincount(side, share[rows, c], len(total))
             if passing is None or not passing.lets[at[0]].any():
                 return
-            share[rows] *= passing.through(*at).mean(axis=1)
-            rows = rows[share[rows] > 0]
+            share[rows] *= passing.through(*at)
+            rows = rows[share[rows].max(axis=1) > 0]
             self.world.onward(o, d, RayKind.CAMERA, hit, rows)
             rows = rows[(triangle[rows] >= 0) & (t[rows] <= self.reach(d[rows]))]
 

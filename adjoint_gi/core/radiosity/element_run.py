@@ -19,7 +19,6 @@ from ..method.clock import Clock
 from ..method.registry import Solver
 from ..method.solution import EnergyBalance, Solution, Step
 from ..receivers.base import Receivers
-from ..scene.passing import tinted
 from ..scene.world import World
 from ..walks import path_limit
 from .lamp_light import LampLight, light_notices, receiver_light
@@ -36,13 +35,6 @@ class Found:
     extra: dict[str, np.ndarray] = field(default_factory=dict)
 
 
-def grey_notices(world: World) -> tuple[Notice, ...]:
-    """One notice for each material whose Transparent colour rays between elements do not take, as they carry none."""
-    reason = "the colour of its Transparent is taken as grey for light between elements; that of lamps is coloured"
-    remedy = "Choose Two-Pass, Multi-Pass or Path Tracing where the colour matters"
-    return tuple(Notice(f"Material {name}", reason, remedy) for name in tinted(world.scene))
-
-
 class ElementRun:
     """One solve of a method on elements.
 
@@ -56,7 +48,6 @@ class ElementRun:
         self.elements = elements_for(world, receivers, settings.max_edge, solver.element_target(settings))
         self.emitters = Emitters(world)
         self.warnings = world.scene.warnings + world.shading.substitutions(solver.spec.lobes if lobes is None else lobes)
-        self.warnings += grey_notices(world)
         self.find: Callable[[bool], Found]
 
     @property

@@ -1,7 +1,9 @@
 """The dense form-factor matrix of the sides that light can reach: rays everywhere, closed forms where they hold.
 
 F_ij is the share of the diffuse light leaving i that arrives at j (Goral, Torrance, Greenberg and Battaile 1984; review, Eq. 10 and 11).
-It is reciprocal, A_i F_ij = A_j F_ji, and closed: each row and the share of its side's light that escapes sum to 1.
+It is reciprocal, A_i F_ij = A_j F_ji, and closed: each row and the share of its side's light that escapes sum to 1. Where surfaces between
+sides are tinted, each channel has its own matrix, F times the mean colour of the rays of a pair: reciprocal still, but light is lost on
+the way.
 """
 
 from __future__ import annotations
@@ -44,9 +46,12 @@ class FactorReport:
         return {f"factors_{name}": np.array([getattr(self, name)], np.float64) for name in names}
 
 
-def bytes_needed(sides: int, rays: int) -> int:
-    """Memory of `build` for so many sides: float64 factors, one byte of mask, the kept hits and a block of pairs."""
-    return 9 * sides * sides + 4 * sides * rays + (64 << 20)
+def bytes_needed(sides: int, rays: int, tinted: bool) -> int:
+    """Memory of `build` for so many sides: float64 factors, one byte of mask, the kept hits and a block of pairs.
+
+    Where what lies between sides is `tinted`, three more matrices and the colours of rays.
+    """
+    return (33 if tinted else 9) * sides * sides + (16 if tinted else 4) * sides * rays + (64 << 20)
 
 
 class FactorMatrix:
@@ -70,8 +75,8 @@ class FactorMatrix:
         rows = []
         while len(frontier):
             fresh = []
-            for part, met in self.caster.rows(frontier, self.rays):
-                rows.append((part, met))
+            for part, met, color in self.caster.rows(frontier, self.rays):
+                rows.append((part, met, color))
                 new = np.unique(met)
                 new = new[new >= 0]
                 new = new[~known[new]]
@@ -86,8 +91,12 @@ class FactorMatrix:
         """Fill the matrix; yields the share done. Afterwards `transport` and `report` are there. `rho` (n, 3) of `sides`."""
         n, area = len(self.sides), self.elements.held.area[self.sides]
         factors, sky, mask = np.empty((n, n)), np.zeros(n), np.zeros((n, n), bool)
+        tinted = self.caster.tinted
+        colors, sky_colors = (np.empty((3, n, n)), np.ones((n, 3))) if tinted else (None, None)
         # 1. Rays everywhere, closed forms for pairs that see each other freely.
-        yield from self._cast_rows(factors, sky)
+        yield from self._cast_rows(factors, sky, colors, sky_colors)
+        if tinted:
+            self._mean_colors(colors, factors, area)
         exact, rays, stretch = yield from self._put_closed_forms(factors, mask, area)
         # 2. What the closed forms leave of each row is shared out among rays and sky in the proportions that the rays found.
         sky *= stretch
@@ -97,24 +106,54 @@ class FactorMatrix:
         for a in range(0, n, ROWS_PER_BLOCK):
             rows = slice(a, a + ROWS_PER_BLOCK)
             factors[rows] *= scale[rows, None] * scale / area[rows, None]
-        self.transport = MatrixTransport(area, rho, factors, sky * scale)
+        sky *= scale
+        # 4. The colour of what lies between.
+        if tinted:
+            colors *= factors
+            self.transport = MatrixTransport(area, rho, colors, sky[:, None] * sky_colors)
+        else:
+            self.transport = MatrixTransport(area, rho, factors, sky)
         self.report = FactorReport(n * self.rays + rays, exact, cast, reciprocity, float(np.abs(scale - 1).max(initial=0.0)))
         yield 1.0
 
-    def _cast_rows(self, factors: np.ndarray, sky: np.ndarray) -> Iterator[float]:
-        """Fill `factors` (n, n) with the share of each side's rays that meet each side, and `sky` (n,) with that of those that escape."""
+    def _cast_rows(self, factors: np.ndarray, sky: np.ndarray, colors: np.ndarray | None, sky_colors: np.ndarray | None) -> Iterator[float]:
+        """Fill `factors` (n, n) with the share of each side's rays that meet each side, and `sky` (n,) with that of those that escape.
+
+        Where anything is tinted, `colors` (3, n, n) with the same, times the colours of the rays, and `sky_colors` (n, 3) with the mean
+        colour of those that escape.
+        """
         n = len(self.sides)
         number = np.full(2 * self.elements.count + 1, n, np.int64)
         number[self.sides] = np.arange(n)
-        for done, (part, met) in enumerate(self._rows):
+        for done, (part, met, color) in enumerate(self._rows):
             index = number[part]
             column = number[met]  # -1 picks the last entry: escaped, column n
             flat = (np.arange(len(part))[:, None] * (n + 1) + column).ravel()
             counts = np.bincount(flat, minlength=len(part) * (n + 1)).reshape(len(part), n + 1)
             factors[index] = counts[:, :n] / self.rays
             sky[index] = counts[:, n] / self.rays
+            for c in range(3) if color is not None else ():
+                sums = np.bincount(flat, color[:, c], minlength=len(part) * (n + 1)).reshape(len(part), n + 1)
+                colors[c, index] = sums[:, :n] / self.rays
+                sky_colors[index, c] = sums[:, n] / np.maximum(counts[:, n], 1)
             yield 0.2 * done / len(self._rows)
         self._rows = []
+
+    @staticmethod
+    def _mean_colors(colors: np.ndarray, factors: np.ndarray, area: np.ndarray) -> None:
+        """Make `colors` (3, n, n) the mean colour of the rays of each pair, both ways together; 1 where there are none."""
+        n = len(area)
+        blocks = [slice(a, a + ROWS_PER_BLOCK) for a in range(0, n, ROWS_PER_BLOCK)]
+        for a, rows in enumerate(blocks):
+            for columns in blocks[a:]:
+
+                def both(x: np.ndarray, rows: slice = rows, columns: slice = columns) -> np.ndarray:
+                    return area[rows, None] * x[rows, columns] + (area[columns, None] * x[columns, rows]).T
+
+                found = both(factors)
+                for channel in colors:
+                    mean = np.where(found > 0, both(channel) / np.where(found > 0, found, 1), 1)
+                    channel[rows, columns], channel[columns, rows] = mean, mean.T
 
     def _put_closed_forms(
         self, factors: np.ndarray, mask: np.ndarray, area: np.ndarray
@@ -125,10 +164,13 @@ class FactorMatrix:
         """
         n = len(area)
         exact_sum, met_sum = np.zeros(n), np.zeros(n)
+        share = self.elements.held.share[self.sides]
         exact = rays = 0
         for piece in exact_pairs(self.elements, self.sides) if self.closed_forms else ():
             i, j = piece.i, piece.j
-            f_ij, f_ji = piece.exchange / area[i], piece.exchange / area[j]
+            # Of sides that let light through, closed forms know the whole, rays the held part.
+            exchange = piece.exchange / (share[i] * share[j])
+            f_ij, f_ji = exchange / area[i], exchange / area[j]
             # Rows of rays that meet far too few are a witness against free sight.
             free = self._plausible(factors[i, j], f_ij) & self._plausible(factors[j, i], f_ji)
             i, j, f_ij, f_ji = i[free], j[free], f_ij[free], f_ji[free]

@@ -103,7 +103,7 @@ def importance(elements: Elements, detect: Detector, reflections: int = 8) -> np
     Relaxes W = g + T* W (review, Eq. 2) on a few rays from every element; elements of more than the mean potential count in full.
     """
     transport = RayTransport.cast(ElementRays(elements), PER_SIDE)
-    term = np.repeat(detect.on_elements(elements)[:, None], 3, axis=1)
+    term = detect.on_elements(elements)
     total = term.copy()
     for _ in range(reflections):
         term = transport.adjoint(term)

@@ -33,9 +33,9 @@ class PotentialSystem:
     """
 
     def __init__(self, elements: Elements, g: np.ndarray, per_side: int, low: int, high: int) -> None:
-        """`g` (2 ne,): the function of the receivers on every element side, `Detector.on_elements`."""
+        """`g` (2 ne, 3): the function of the receivers on every element side, `Detector.on_elements`."""
         self.elements, self.per_side, self.low, self.high = elements, per_side, low, high
-        self.g = np.repeat(g[:, None], 3, axis=1)
+        self.g = g
         self.parts = np.zeros((3, 2 * elements.count, 3))
         self.parts[0] = self.g * (low == 0)
         self.sides = np.zeros(0, np.int64)
@@ -68,14 +68,12 @@ class PotentialSystem:
         """A fixed set of rays from every side."""
         total = 2 * self.elements.count
         self.sides = np.arange(total)
-        targets = []
-        for part, met in ElementRays(self.elements).rows(self.sides, self.per_side):
-            targets.append(met.ravel())
-            yield (int(part[-1]) + 1) / total, "Rays between elements"
+        rows = []
+        for piece in ElementRays(self.elements).rows(self.sides, self.per_side):
+            rows.append(piece)
+            yield (int(piece[0][-1]) + 1) / total, "Rays between elements"
         self.rays = total * self.per_side
-        area, rho = self.elements.held.area, self.elements.held.albedo
-        target = np.concatenate(targets).astype(np.int64)
-        self.transport = RayTransport(area, rho, np.repeat(self.sides, self.per_side), target)
+        self.transport = RayTransport.of_rows(self.elements, self.sides, self.per_side, rows)
 
     # ---- schemes
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..base.settings import NO_LIMIT
 from ..method.solution import EnergyBalance
-from .transports import MatrixTransport, Transport
+from .transports import MatrixTransport, Transport, colored, product
 
 ROWS_PER_BLOCK = 64  # rows that Gauss-Seidel solves together
 
@@ -55,14 +55,14 @@ def gauss_seidel(transport: MatrixTransport, emitted: np.ndarray, arriving: np.n
     irradiance = np.zeros_like(emitted)
     starts = range(0, n, ROWS_PER_BLOCK)
     # Row i of a block: H_i - sum_{j < i} F_ij rho_j H_j = F_i B (with the block's new part left out) + H0_i.
-    lower = [np.tril(factors[a : a + ROWS_PER_BLOCK, a : a + ROWS_PER_BLOCK], -1) for a in starts]
+    lower = [np.tril(factors[..., a : a + ROWS_PER_BLOCK, a : a + ROWS_PER_BLOCK], -1) for a in starts]
     for step in range(limit):
         change = np.zeros_like(emitted)
         for a, triangle in zip(starts, lower, strict=True):
             b = slice(a, a + ROWS_PER_BLOCK)
-            right = factors[b] @ radiosity + arriving[b] - triangle @ (radiosity[b] - emitted[b])
+            right = product(factors[..., b, :], radiosity) + arriving[b] - product(triangle, radiosity[b] - emitted[b])
             if triangle.any():
-                matrix = np.eye(len(triangle)) - triangle * rho[b].T[:, None, :]
+                matrix = np.eye(triangle.shape[-1]) - triangle * rho[b].T[:, None, :]
                 new = np.linalg.solve(matrix, right.T[..., None])[..., 0].T
             else:
                 new = right
@@ -133,10 +133,14 @@ class System:
     def _balance(self, irradiance: np.ndarray) -> EnergyBalance:
         area = self.transport.area[:, None]
         radiosity = self.emitted + self.transport.rho * irradiance
-        next_ = self.transport.gather(radiosity) + self.arriving
+        gathered = self.transport.gather(radiosity)
+        next_ = gathered + self.arriving
+        escaped = float((area * colored(self.transport.sky, 3) * radiosity).sum())
+        # What tinted surfaces between elements have taken.
+        on_the_way = float((area * (radiosity - gathered)).sum()) - escaped if self.transport.tinted else 0.0
         return EnergyBalance(
             emitted=float((area * (self.emitted + self.arriving)).sum()),
-            absorbed=float((area * (1 - self.transport.rho) * irradiance).sum()),
-            escaped=float((area * self.transport.sky[:, None] * radiosity).sum()),
+            absorbed=float((area * (1 - self.transport.rho) * irradiance).sum()) + on_the_way,
+            escaped=escaped,
             unshot=float((area * (next_ - irradiance)).sum()),
         )

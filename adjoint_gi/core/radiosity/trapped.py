@@ -18,9 +18,12 @@ def trapped(transport: MatrixTransport) -> np.ndarray:
     """(n,) bool: sides from which light can never leave, because all it can reach has albedo 1 in some channel."""
     out = np.zeros(len(transport.area), bool)
     for c in range(3):
-        loses = (transport.rho[:, c] < 1) | (transport.sky > 1e-9)
+        factors, sky = (transport.factors[c], transport.sky[:, c]) if transport.tinted else (transport.factors, transport.sky)
+        loses = (transport.rho[:, c] < 1) | (sky > 1e-9)
+        if transport.tinted:  # on the way
+            loses |= factors.sum(axis=1) + sky < 1 - 1e-9
         while True:
-            more = loses | (transport.factors @ loses > 1e-12)
+            more = loses | (factors @ loses > 1e-12)
             if (more == loses).all():
                 break
             loses = more

@@ -16,7 +16,10 @@ MOST_LAYERS = 1024  # surfaces that a ray passes; what lies behind more of them 
 
 
 class Passing:
-    """What the triangles of a scene let straight through. lets (nt + 1,) bool: whether any; the last entry is for rays that hit nothing."""
+    """What the triangles of a scene let straight through.
+
+    lets (nt + 1,) bool: whether any; the last entry is for rays that hit nothing. tinted: whether the colour of any is not grey.
+    """
 
     def __init__(self, scene: SceneArrays) -> None:
         material = np.asarray(scene.material, np.int64)
@@ -25,6 +28,7 @@ class Passing:
         may = np.array([not m.total(STRAIGHT).is_black for m in scene.materials] or [False])
         self.lets = np.append(may[material], False)
         full = [_scattered(m).is_black and m.total("emission").is_black for m in scene.materials]
+        self.tinted = _tinted(scene)
         self._most = np.where(full, 1.0, MOST_GREY).astype(np.float32)[material]
 
     @classmethod
@@ -41,6 +45,10 @@ class Passing:
         """(n,) float32 chance to pass for rays that carry no colour: the mean share, but less than 1 where surfaces send light."""
         return np.minimum(self.through(triangle, u, v).mean(axis=1), self._most[triangle])
 
+    def color(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(n, 3) float32 factor on what rays carry that go on by the chance `grey`: its mean over all rays is the colour."""
+        return self.through(triangle, u, v) / np.maximum(self.grey(triangle, u, v), np.float32(1e-20))[:, None]
+
     def draw(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Whether rays go on, (n,) bool, and the factor (n, 3) float32 on what they carry: over the chance to go on, or to stay.
 
@@ -55,11 +63,10 @@ class Passing:
         return go, factor.astype(np.float32)
 
 
-def tinted(scene: SceneArrays) -> list[str]:
-    """Names of the materials in use whose colour, of what goes straight through, is not grey."""
-    used = [scene.materials[i] for i in np.unique(scene.material)]
-    terms = ((m.name, t) for m in used for t in m.total(STRAIGHT).terms)
-    return sorted({name for name, t in terms if len(set(t.constant)) > 1 or any(not s.alpha for s in t.sources)})
+def _tinted(scene: SceneArrays) -> bool:
+    """Whether the colour of what goes straight through any material in use is not grey."""
+    terms = (t for i in np.unique(scene.material) for t in scene.materials[i].total(STRAIGHT).terms)
+    return any(len(set(t.constant)) > 1 or any(not s.alpha for s in t.sources) for t in terms)
 
 
 def _scattered(material: Material) -> Color:

@@ -92,6 +92,11 @@ class World:
         self.passing = Passing.of(scene)
 
     @property
+    def tints(self) -> bool:
+        """Whether anything that lets light straight through colours it."""
+        return self.passing is not None and self.passing.tinted
+
+    @property
     def triangle_count(self) -> int:
         """Number of triangles."""
         return len(self.rows)
