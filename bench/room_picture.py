@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The standing test room: its lightmap in the window of a real Blender, beside F12 of Cycles, as one picture.
 
-    python bench/room_picture.py [--out docs/pictures] [--blender PROGRAM] [--samples 512] [--resolution 1024]
+    python bench/room_picture.py [--out docs/pictures] [--blender PROGRAM] [--samples 256] [--resolution 512]
 
-Builds `tests/room.py`, bakes it to one atlas by particle tracing, shows the result and saves the file; nothing is applied. Then a Blender
+Builds `tests/room.py`, bakes it to one atlas by irradiance caching, shows the result and saves the file; nothing is applied. Then a Blender
 with a window opens that file, without the extension, and its viewport is taken; and Cycles renders the room as it was before. Needs a
 Python with the bpy wheel that is no newer than that Blender, which must be ../shared/tools/real-blender: it has ImageMagick at hand.
 """
@@ -19,7 +19,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 SIZE = (480, 360)  # of each half
-PARTICLES = 20_000_000
+VALUES = {"light_samples": 64, "accuracy": 0.35}
+SECONDS = 75.0  # that the window has to compile and to draw
 SESSION = """
 import subprocess, sys, bpy
 out = sys.argv[-1]
@@ -39,7 +40,7 @@ def arrange():
     space.region_3d.view_perspective = "CAMERA"
     with bpy.context.temp_override(window=window, area=area, region=next(r for r in area.regions if r.type == "WINDOW")):
         bpy.ops.view3d.view_center_camera()
-    bpy.app.timers.register(shoot, first_interval=90.0)
+    bpy.app.timers.register(shoot, first_interval=float(sys.argv[-2]))
     from bpy_extras.view3d_utils import location_3d_to_region_2d as place
     region = next(r for r in area.regions if r.type == "WINDOW")
     def told():
@@ -47,7 +48,7 @@ def arrange():
         corners = [camera.matrix_world @ v for v in camera.data.view_frame(scene=bpy.context.scene)]
         at, corner = [place(region, space.region_3d, c) for c in corners], (region.x, region.y)
         print("FRAME", window.height, *(round(f([p[k] for p in at]) + corner[k]) for f in (min, max) for k in (0, 1)), flush=True)
-    bpy.app.timers.register(told, first_interval=80.0)
+    bpy.app.timers.register(told, first_interval=float(sys.argv[-2]) - 5)
 bpy.context.preferences.view.show_splash = False
 bpy.app.timers.register(arrange, first_interval=2.0)
 """
@@ -71,7 +72,7 @@ def bake_room(folder: Path, samples: int, resolution: int) -> None:
     scene.render.engine, scene.cycles.samples, scene.cycles.device = "CYCLES", samples, "CPU"
     scene.render.filepath = str(folder / "rendered.png")
     bpy.ops.render.render(write_still=True)
-    made = baking.bake(baking.request("particle_tracing", atlas=True, resolution=resolution, values={"particles": PARTICLES}))
+    made = baking.bake(baking.request("irradiance_cache", atlas=True, resolution=resolution, subsamples=2, values=VALUES))
     for notice in made.notices:
         print(notice)
     preview.show([o for o in scene.objects if o.type == "MESH"], "irradiance")
@@ -94,8 +95,8 @@ def take_window(folder: Path, blender: str) -> None:
     """Save what the viewport of `blender` shows of room.blend through the camera as window.png."""
     script, shot = folder / "session.py", folder / "root.png"
     script.write_text(SESSION)
-    command = [blender, "--factory-startup", str(folder / "room.blend"), "--python", str(script), "--", str(shot)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=400, stdin=subprocess.DEVNULL)
+    command = [blender, "--factory-startup", str(folder / "room.blend"), "--python", str(script), "--", str(SECONDS), str(shot)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=900, stdin=subprocess.DEVNULL)
     frame = next((line for line in done.stdout.splitlines() if line.startswith("FRAME ")), None)
     if frame is None:
         sys.exit(f"the window gave no picture:\n{done.stdout}\n{done.stderr}")
@@ -112,8 +113,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "pictures")
     parser.add_argument("--blender", default=str(ROOT.parent / "shared" / "tools" / "real-blender"))
-    parser.add_argument("--samples", type=int, default=512)
-    parser.add_argument("--resolution", type=int, default=1024)
+    parser.add_argument("--samples", type=int, default=256)
+    parser.add_argument("--resolution", type=int, default=512)
     parser.add_argument("--folder", type=Path, help="keep all files here")
     arguments = parser.parse_args()
     folder = arguments.folder or Path(tempfile.mkdtemp())
