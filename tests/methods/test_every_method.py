@@ -160,7 +160,10 @@ ROWS = {
     "progressive_radiosity": Row("all", {"rays": 200_000}, (0.7, 0.5, 0.5, 1, 0.7, None, 0.2, 0.7, 0.3, 0.1, 0.01)),
     "spherical_harmonics": Row("all", {"rays": 100_000, "order": 2}, (1, 0.5, 0.5, 0.7, 0.7, 3, 0.3, 0.7, 2, 0.3, 0.01)),
     "particle_tracing": Row("all", {"particles": 100_000}, (2, 0.5, 1, 1.5, 1.5, 4, 1, 0.5, 0.7, 1.5, 3), noise=True),
-    "stochastic_jacobi": Row("all", {"rays": 100_000}, (1, 0.5, 0.5, 1, 1, None, 0.3, 0.7, 0.3, 0.5, 0.01), noise=True),
+    # Its lamp light follows the seed, with 0.6 % of noise on the floor, where that of progressive radiosity is always the same.
+    "stochastic_jacobi": Row(
+        "all", {"rays": 100_000, "light_samples": 64}, (1, 0.5, 0.5, 1, 1, None, 0.3, 0.7, 1.3, 0.5, 0.01), noise=True
+    ),
     "multi_pass": Row(
         "all", {"samples": 64, "rays": 100_000, "particles": 50_000}, (3, 1, 0.7, 3, 2, 3, 0.1, 0.5, 1.5, 4, 0.01), noise=True
     ),
