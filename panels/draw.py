@@ -169,7 +169,8 @@ def bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     elsewhere = background.elsewhere(job.scene, context.scene) if job is not None else ""
     if job is not None and job.active:
         driver = job.driver
-        lines = [driver.text, f"{text.duration(driver.seconds)}, {text.count(driver.rays)} rays"]
+        done = "" if job.preparing else f", {text.count(driver.rays)} rays"
+        lines = [driver.text, f"{text.duration(driver.seconds)}{done}"]
         running(layout, context, job, "Baking", lines, "adjoint_gi.stop")
         return
     found = check.cached(context.scene)
@@ -186,7 +187,7 @@ def bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         return
     if elsewhere:
         # Its objects and its panel are in that scene: Continue and Write Result are offered there.
-        if job.state == "stopped":
+        if job.state == "stopped" and not job.preparing:
             text.label(layout, context, f"Stopped at {100 * job.driver.fraction:.0f} % in scene {elsewhere}", "INFO")
         elif job.solution is not None:
             text.label(layout, context, f"A result waits to be written in scene {elsewhere}", "INFO")
@@ -214,7 +215,7 @@ def running(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job, do
 def _ended(layout: bpy.types.UILayout, context: bpy.types.Context, job: BakeJob, shown: list[Notice]) -> None:
     """The state in which the bake ended; the notices `shown` are on the panel already."""
     driver = job.driver
-    if job.state == "stopped":
+    if job.state == "stopped" and not job.preparing:  # how far a stopped preparation was is nothing to go on from
         layout.progress(factor=driver.fraction, text=f"Stopped at {100 * driver.fraction:.0f} %")
     boxed(layout, context, [n for n in job.notices if n not in shown])
     if job.solution is not None:

@@ -33,7 +33,7 @@ from adjgi.adjoint_gi.core.comparison.budget import Budget
 from adjgi.adjoint_gi.core.method import registry
 from adjgi.panels import compare as panel
 from adjgi.tests import baking
-from adjgi.tests.blender import test_panel
+from adjgi.tests.blender import test_panel, test_preparation
 from adjgi.tests.blender.fakes import square
 
 solvers.load()
@@ -279,8 +279,7 @@ def _engines(scene):
 def test_what_cycles_cannot_bake_gets_no_reference_and_is_named(registered, box):
     bpy.data.objects["Floor"].data.materials.clear()
     options = {"objects": ("Floor", "Back Wall"), "resolution": 8, "repeats": 0}
-    made = Compare(bpy.context, CompareRequest(("local_illumination",), Budget("time", 0.1), ReferenceChoice.parse("cycles:4"), **options))
-    assert any(n.object == "Floor" and "no material" in n.reason for n in made.notices)
+    before = test_preparation.layers()
     with pytest.raises(AdjointError, match="no texel that can be compared"):
         Compare(
             bpy.context,
@@ -288,6 +287,9 @@ def test_what_cycles_cannot_bake_gets_no_reference_and_is_named(registered, box)
                 ("local_illumination",), Budget(), ReferenceChoice.parse("cycles:4"), objects=("Floor",), resolution=8, repeats=0
             ),
         )
+    assert test_preparation.layers() == before, "what was made for it is taken back"
+    made = Compare(bpy.context, CompareRequest(("local_illumination",), Budget("time", 0.1), ReferenceChoice.parse("cycles:4"), **options))
+    assert any(n.object == "Floor" and "no material" in n.reason for n in made.notices)
     assert box.render.engine != "CYCLES" or box.render.engine == "CYCLES" and not [i for i in bpy.data.images if "Cycles" in i.name]
 
 
@@ -410,6 +412,23 @@ def test_in_the_background_it_can_be_stopped_and_keeps_what_it_has(state):
     assert bpy.ops.adjoint_gi.compare.poll()
 
 
+def test_it_is_prepared_in_slices_and_a_stop_meanwhile_changes_nothing(state, monkeypatch):
+    gate = test_preparation.Gate(monkeypatch)
+    before = test_preparation.layers()
+    job = start(state, 0.2)
+    ticks(lambda: job.driver.text == "Unwrapping" and gate.threads)
+    assert job.preparing and gate.threads[0] is not threading.main_thread()
+    layout = ButtonLayout()
+    panel.run(layout, bpy.context)
+    assert "Unwrapping" in layout.words and layout.names("operator") == ["adjoint_gi.stop_comparing"]
+    COMPARISONS.stop()
+    assert job.state == "stopped" and test_preparation.layers() == before and not state.result.rows
+    gate.open.set()
+    job = start(state, 0.2)
+    ticks(lambda: not job.active)
+    assert job.state == "finished" and len(state.result.rows) == 2
+
+
 def test_a_second_run_is_refused(state):
     start(state)
     with pytest.raises(AdjointError, match="is running"):
@@ -463,6 +482,7 @@ def test_a_run_of_another_scene_says_so(state, monkeypatch):
 
 def test_a_scene_that_is_gone_gets_no_result(state):
     job = start(state, 0.2)
+    ticks(lambda: not job.preparing)
     other = bpy.data.scenes.new("Other")
     bpy.context.window_manager.windows[0].scene = other
     bpy.data.scenes.remove(bpy.data.scenes["Cornell Box"])

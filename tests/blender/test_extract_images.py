@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import threading
 import zlib
@@ -299,14 +300,22 @@ def test_images_are_read_one_by_one_before_the_extraction(tmp_path, monkeypatch)
     gone = bpy.data.images.load(png(tmp_path / "gone.png", (0.8, 0.4, 0.2, 0.5)))
     emitter(gone)
     reads = read_count(monkeypatch)
-    counts = []
-    for stage in images.reading(bpy.context):
-        if isinstance(stage, str):
-            counts.append(len(reads))
-            if stage.endswith("gone.png"):
-                bpy.data.images.remove(gone)
-        else:
-            finish(stage.steps)
+    counts, answer, where, stages = [], None, [], images.reading(bpy.context)
+    made = images.as_bytes
+    monkeypatch.setattr(images, "as_bytes", lambda values: where.append(aside) or made(values))
+    aside = False
+    with contextlib.suppress(StopIteration):
+        while True:
+            stage, answer = stages.send(answer), None
+            if isinstance(stage, str):
+                counts.append(len(reads))
+                if stage.endswith("gone.png"):
+                    bpy.data.images.remove(gone)
+            else:
+                aside = True
+                answer = finish(stage.steps)
+                aside = False
+    assert where == [True] * 4, "only pixels are handed out on the main thread"
     assert counts == [0, 1, 2, 3, 4] and len(reads) == 4
     arrays, told = notices()
     assert len(reads) == 4 and len(arrays.textures) == 4 and all("ranges" in t.__dict__ for t in arrays.textures)

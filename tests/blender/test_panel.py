@@ -141,9 +141,10 @@ def test_refusal_names_object_reason_and_remedy(state, monkeypatch):
 def fake_job(monkeypatch, scene, **values):
     """The current job, started in `scene`."""
     driver = types.SimpleNamespace(fraction=0.256, seconds_left=75.2, text="Sample 3", seconds=12.34, rays=4_560_000)
-    state = {"state": "running", "active": True, "driver": driver, "notices": [], "solution": None}
+    state = {"state": "running", "active": True, "driver": driver, "notices": [], "solution": None, "preparing": False}
     state |= {"scene": scene.session_uid} | values
-    job = types.SimpleNamespace(**state, resumable=state["state"] == "stopped")
+    state.setdefault("resumable", state["state"] == "stopped")
+    job = types.SimpleNamespace(**state)
     monkeypatch.setattr(BAKES, "job", job)
     return job
 
@@ -206,6 +207,19 @@ def test_names_and_buttons_stand_below_each_other_where_they_would_be_cut():
     for width in (200, 305):
         draw._beside(layout, sidebar(width), words)
     assert seen == ["column", "row"]
+
+
+def test_a_preparation_shows_how_far_it_is_and_leaves_no_bar(state, monkeypatch):
+    show(monkeypatch)
+    job = fake_job(monkeypatch, bpy.context.scene, preparing=True, resumable=False)
+    job.driver.text = "Unwrapping"
+    layout = drawn(draw.bake)
+    assert layout.names("progress") and "Unwrapping" in layout.words and "rays" not in layout.words
+    job.state, job.active = "stopped", False
+    layout = drawn(draw.bake)
+    assert "Stopped at" not in layout.words and not layout.names("progress")
+    job.preparing = False
+    assert drawn(draw.bake).names("progress")
 
 
 def test_a_running_job_can_only_be_stopped(state, monkeypatch):

@@ -11,9 +11,10 @@ import bpy
 import pytest
 from adjgi import solvers
 from adjgi.adjoint_gi.bridge.baking import bake as baking
-from adjgi.adjoint_gi.bridge.baking import textures
+from adjgi.adjoint_gi.bridge.baking import preflight, textures
 from adjgi.adjoint_gi.bridge.baking.bake import Bake
 from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
+from adjgi.adjoint_gi.bridge.extract import depsgraph
 from adjgi.adjoint_gi.bridge.host import background
 from adjgi.adjoint_gi.bridge.host.preparation import Aside, Preparation, finish_stages, once
 from adjgi.adjoint_gi.bridge.results.lightmap_uv import own_layer
@@ -180,7 +181,7 @@ def test_stop_while_it_is_prepared_changes_nothing(held):
     assert not bpy.ops.adjoint_gi.resume.poll()
 
 
-@pytest.mark.parametrize("change", ["move", "delete", "edit", "modifier", "undo"])
+@pytest.mark.parametrize("change", ["move", "delete", "edit", "vertex", "modifier", "undo"])
 def test_a_scene_that_changes_meanwhile_is_refused(held, change):
     job, gate = held
     obj = bpy.data.objects["Second"]
@@ -190,6 +191,8 @@ def test_a_scene_that_changes_meanwhile_is_refused(held, change):
         bpy.data.objects.remove(obj)
     elif change == "edit":
         obj.data.vertices.add(1)
+    elif change == "vertex":
+        obj.data.vertices[0].co.x += 1
     elif change == "modifier":
         obj.modifiers.new("A", "SUBSURF")
     else:
@@ -244,11 +247,12 @@ def test_loading_a_file_ends_a_preparation(held):
     assert not [t for t in threading.enumerate() if t.name == "adjoint_gi_preparation"]
 
 
-def test_world_and_texels_are_made_aside(scene, monkeypatch):
+def test_all_that_needs_no_blender_runs_aside(scene, monkeypatch):
+    """Placing and the tree of rays twice, for layers are made; checks once; texels of two objects."""
     threads = []
-    world, rasterize = baking.World, textures.rasterize
-    monkeypatch.setattr(baking, "World", lambda arrays: threads.append(threading.current_thread()) or world(arrays))
-    monkeypatch.setattr(textures, "rasterize", lambda *a: threads.append(threading.current_thread()) or rasterize(*a))
+    for where, name in ((depsgraph, "place"), (baking, "World"), (preflight.openness, "notices"), (textures, "rasterize")):
+        made = getattr(where, name)
+        monkeypatch.setattr(where, name, lambda *a, made=made: threads.append(threading.current_thread()) or made(*a))
     job = BAKES.start(bpy.context, request(values={"samples": 1}, resolution=8))
     until(lambda: not job.active)
-    assert len(threads) == 4 and threading.main_thread() not in threads
+    assert len(threads) == 2 + 2 + 1 + 2 and threading.main_thread() not in threads

@@ -24,7 +24,7 @@ from ...core.method.driver import Driver
 from ...core.method.solution import Solution
 from ...core.scene.arrays import SceneArrays
 from ...core.scene.world import World
-from ..extract.depsgraph import extract
+from ..extract.depsgraph import extracting
 from ..extract.images import reading
 from ..host import files
 from ..host.preparation import Aside, Stages, finish_stages, once
@@ -34,9 +34,9 @@ from . import outputs
 from .attributes import AttributeWriter
 from .instances import Real, make, title
 from .picture import PictureWriter
-from .preflight import checker, inspect, left_out, ordered, picture_size, preflight, receiving, resolve, target_objects
+from .preflight import checker, inspecting, left_out, ordered, picture_size, preflight, receiving, resolve, target_objects
 from .textures import TextureWriter
-from .watch import fingerprint
+from .watch import unchanged
 from .writer import Writer
 
 __all__ = ["Bake", "BakeRequest", "preflight"]
@@ -162,10 +162,12 @@ def _attempting(request: BakeRequest, said: list[Notice], names: dict[str, str])
         undo.push(real.undo)
         names.update({o.name: title(name, reals.is_own(o)) for name, o in real.objects.items()})
         said[:] = [*real.fitting(notices), *real.notices, *_checked(real, request)]
-        arrays, same = _extract(request, real)
+        arrays, same = yield from _extracting(request, real)
         world = yield Aside("Building the tree of rays", once(lambda: World(arrays)))
         same()
-        found = [*inspect(world, request), *outputs.problems(request, arrays, receiving(arrays, request), bpy.context.scene.name)]
+        found = yield from inspecting(world, request)
+        same()
+        found = [*found, *outputs.problems(request, arrays, receiving(arrays, request), bpy.context.scene.name)]
         said += found
         raise_first(ordered(found))
         if request.output:
@@ -179,7 +181,7 @@ def _attempting(request: BakeRequest, said: list[Notice], names: dict[str, str])
             undo.push(made.undo)
             said += made.notices
             yield "Reading the scene again"
-            arrays, same = _extract(request, real)
+            arrays, same = yield from _extracting(request, real)
             world = yield Aside("Building the tree of rays", once(lambda: World(arrays)))
             same()
 
@@ -220,14 +222,11 @@ def _checked(real: Real, request: BakeRequest) -> list[Notice]:
     return found
 
 
-def _extract(request: BakeRequest, real: Real) -> tuple[SceneArrays, Callable[[], None]]:
+def _extracting(request: BakeRequest, real: Real) -> Stages[tuple[SceneArrays, Callable[[], None]]]:
     """The scene as it is, and what raises when it is another one later."""
     context = bpy.context
-    arrays = extract(context.evaluated_depsgraph_get(), context.scene, picture_size(context.scene, request), real.objects)
-    seen = fingerprint(context)
-
-    def same() -> None:
-        if fingerprint(bpy.context) != seen:
-            raise AdjointError("Scene", "was changed while the bake was prepared", "Bake again")
-
+    same = unchanged()
+    size = picture_size(context.scene, request)
+    arrays = yield from extracting(context.evaluated_depsgraph_get(), context.scene, size, real.objects)
+    same()
     return arrays, same

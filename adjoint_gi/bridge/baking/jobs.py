@@ -13,7 +13,7 @@ import bpy
 from ...core.base.errors import AdjointError, MemoryRefused, Notice, SceneError
 from ...core.method.solution import Solution
 from ..host import background, preferences
-from ..host.preparation import Preparation
+from ..host.prepared import PreparedJob
 from ..props import properties, records
 from ..props.request import BakeRequest
 from ..results import kept
@@ -22,19 +22,17 @@ from .bake import Bake
 from .preflight import ordered, target_objects
 from .watch import Targets
 
-QUICK = 0.1  # seconds that pressing Bake may take before it goes on in the background
 SHARE = 0.1  # largest share of the main thread's time that partial writes may take
 
 
-class BakeJob(background.Job):
+class BakeJob(PreparedJob):
     """One bake, the objects it is for, and the result that could not be written yet."""
 
     def __init__(self, context: bpy.types.Context, request: BakeRequest) -> None:
         """Raises `AdjointError` when the scene cannot be baked."""
         self.request = request
         self.bake = Bake(context, request, now=False)
-        self.preparation = Preparation(self.bake.preparing())
-        super().__init__(context.scene.session_uid, self.preparation)
+        super().__init__(context.scene.session_uid, self.bake.preparing())
         self.targets = Targets(())  # those it is for, once it is prepared
         self.solution: Solution | None = None  # kept while it could not be written
         self._kept = ""  # the file that it is kept in
@@ -51,75 +49,14 @@ class BakeJob(background.Job):
         """Also what was found before the solve."""
         return [notice for notice in (*self.notices, *self.bake.notices) if notice.severity != "info"]
 
-    @property
-    def preparing(self) -> bool:
-        """Whether the solve has not begun yet."""
-        return self.driver is self.preparation
-
-    def start(self) -> None:
-        """Prepare as far as one slice goes, where quick scenes are refused or ready, and go on by `poll`. Raises `AdjointError`."""
-        self._prepare(wait=QUICK)
-        if isinstance(self.preparation.error, AdjointError):
-            raise self.preparation.error
-
-    def ready(self) -> None:
-        """Prepare to the end, here and now, without a thread. Raises `AdjointError`."""
-        with background.undo_step_of_additions("Adjoint GI Lightmap UVs"):
-            self.preparation.finish()
-        self._take_driver()
-
-    def poll(self) -> None:
-        """Go on preparing, or look at the driver."""
-        if not self.preparing:
-            super().poll()
-        elif self.state == "stopping":
-            self._drop()
-        else:
-            self._prepare()
-
-    def stop(self, wait: float = background.STOP) -> None:
-        """While it is prepared there is no result to keep: what was made is taken back."""
-        if self.preparing and self.state == "running":
-            self.state = "stopping"
-            if wait:
-                self._drop(wait)
-        else:
-            super().stop(wait)
-
-    def cancel(self) -> None:
-        """Drop the work."""
-        if self.preparing:
-            self.preparation.stop(background.STOP)  # without an undo step: a file may be about to be loaded
-            self.state = "cancelled"
-        else:
-            super().cancel()
-
-    def _prepare(self, wait: float = 0.0) -> None:
-        """One slice of the preparation; at its end the driver takes its place."""
-        with background.undo_step_of_additions("Adjoint GI Lightmap UVs"):
-            self.preparation.advance(wait)
-        if self.preparation.state == "failed":
-            self.fail(self.preparation.error)
-            self.notices += getattr(self.preparation.error, "others", ())
-        elif self.preparation.state == "finished":
-            self._take_driver()
-            self.driver.start()
-            self._next_write = time.monotonic() + preferences.refresh_seconds()
-
-    def _take_driver(self) -> None:
-        """The driver takes the place of what prepared it."""
+    def take_driver(self) -> None:
+        """The driver takes the place of what prepared it; from now on its objects are watched."""
         context = bpy.context
         self.request = request = self.bake.request
         objects = target_objects(context, request) if request.target != "render" else ()
         layers = {o.session_uid: find_uv_layer(o, request.uv_layer) for o in objects} if request.target == "texture" else {}
         self.targets, self.driver = Targets(objects, layers), self.bake.driver
-
-    def _drop(self, wait: float = 0.0) -> None:
-        """End the preparation, if its part that runs aside lets go in `wait` seconds."""
-        with background.undo_step_of_additions("Adjoint GI Lightmap UVs"):
-            if self.preparation.stop(wait):
-                self.state = "stopped"
-                self.notices = [Notice("", "Stopped before the solve began; nothing was changed", "", "info")]
+        self._next_write = time.monotonic() + preferences.refresh_seconds()
 
     @property
     def resumable(self) -> bool:

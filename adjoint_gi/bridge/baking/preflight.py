@@ -26,6 +26,7 @@ from ..extract.camera import NO_PICTURE, render_size
 from ..extract.depsgraph import extract
 from ..host import files
 from ..host.notices import Notices, listed
+from ..host.preparation import Aside, Stages, finish_stages, once
 from ..props.request import RECEIVERS, BakeRequest
 from ..results import links as targets
 from ..results import real as reals
@@ -160,26 +161,44 @@ def _with_faces(context: bpy.types.Context) -> list[bpy.types.Object]:
 
 def inspect(world: World, request: BakeRequest) -> list[Notice]:
     """What is found in the extracted scene: its own notices, no light, open gaps and turned normals, memory."""
+    return finish_stages(inspecting(world, request))
+
+
+def inspecting(world: World, request: BakeRequest) -> Stages[list[Notice]]:
+    """`inspect` in slices: what is asked of Blender first, and what is computed of arrays aside."""
+    receivers = receiving(world.scene, request)
+    notices = _of_objects(world, request, receivers)
+    sides = resolutions(world, receivers, request) if request.target == "texture" else np.zeros(0, np.int64)
+    computed = yield Aside("Checking the scene", once(lambda: _of_arrays(world, request, receivers, sides)))
+    return ordered([*notices, *computed])
+
+
+def _of_objects(world: World, request: BakeRequest, receivers: list[int]) -> list[Notice]:
+    """What is said of the camera, and of objects that receive or do not."""
     arrays = world.scene
     notices = list(arrays.warnings)
-    receivers = receiving(arrays, request)
     if request.target == "render":
         notices = [replace(n, severity="error") if NO_PICTURE in n.reason else n for n in notices]
         if arrays.camera is None and not any(n.severity == "error" for n in notices):
             notices.append(Notice("Camera", "there is no camera that can be used", "Make it perspective or orthographic", "error"))
-    else:
-        present = {name for i in receivers for name in (arrays.objects[i].source, arrays.objects[i].maker)}
-        notices = refusals(notices, [n for n in request.objects if n not in present])
-        if not request.objects:
-            notices += _meshless(arrays) + _instances(arrays, request)
-        if not receivers and not request.objects and not any(n.severity == "error" for n in notices):
-            notices.append(Notice("Scene", "has no mesh object with faces to bake", "Add one, or show one in renders", "error"))
+        return notices
+    present = {name for i in receivers for name in (arrays.objects[i].source, arrays.objects[i].maker)}
+    notices = refusals(notices, [n for n in request.objects if n not in present])
+    if not request.objects:
+        notices += _meshless(arrays) + _instances(arrays, request)
+    if not receivers and not request.objects and not any(n.severity == "error" for n in notices):
+        notices.append(Notice("Scene", "has no mesh object with faces to bake", "Add one, or show one in renders", "error"))
+    return notices
+
+
+def _of_arrays(world: World, request: BakeRequest, receivers: list[int], sides: np.ndarray) -> list[Notice]:
+    """What is found without Blender. `sides` (n,) int64 are the texels a side of every image."""
+    notices = []
     if not emits(world):
         notices.append(Notice("Scene", "nothing emits light; the result is black", "Add a light, an emitting material or a world colour"))
     notices += openness.notices(world, set(receivers))
     notices += world.shading.substitutions(request.solver.spec.lobes)
-    notices += estimates(world, request)
-    return ordered(notices)
+    return notices + estimates(world, request, receivers, sides)
 
 
 def refusals(notices: list[Notice], missing: list[str]) -> list[Notice]:
@@ -221,14 +240,13 @@ def emits(world: World) -> bool:
     return lamps or Background(world).any or bool(world.shading.emissive().any())
 
 
-def estimates(world: World, request: BakeRequest) -> list[Notice]:
-    """Receivers, elements and memory of the bake as infos, and an error when the memory is not there."""
+def estimates(world: World, request: BakeRequest, receiving: list[int], sides: np.ndarray) -> list[Notice]:
+    """Receivers, elements and memory of the bake as infos, and an error when the memory is not there. Needs no Blender."""
     solver, settings = request.solver, request.settings
     receivers = Receivers()
     receivers.kind = RECEIVERS[request.target]
     needed = 0
     if request.target == "texture":
-        sides = resolutions(world, receiving(world.scene, request), request)
         receivers.count = int((sides**2).sum())
         needed += lightmap_memory(receivers.count, 1, request.subsamples)
         what = f"up to {receivers.count:,} texels"
@@ -237,7 +255,7 @@ def estimates(world: World, request: BakeRequest) -> list[Notice]:
             # At most the four corners of every element.
             receivers.count = 4 * Elements.planned(world, settings.max_edge, solver.element_target(settings))
         else:
-            receivers.count = sum(world.scene.objects[i].corner_count for i in receiving(world.scene, request))
+            receivers.count = sum(world.scene.objects[i].corner_count for i in receiving)
         what = f"up to {receivers.count:,} vertices and corners"
     else:
         camera = world.scene.camera

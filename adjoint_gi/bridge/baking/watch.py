@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
-from ...core.base.errors import Notice
+from ...core.base.errors import AdjointError, Notice
 from ..results.lightmap_uv import layer_values
 
 
@@ -60,19 +60,32 @@ class Targets:
         return 0 if values is None else zlib.crc32(values.tobytes())
 
 
+def unchanged() -> Callable[[], None]:
+    """What raises `AdjointError` when the scene of the context is another one than now."""
+    seen = fingerprint(bpy.context)
+
+    def same() -> None:
+        if fingerprint(bpy.context) != seen:
+            raise AdjointError("Scene", "was changed while the bake was prepared", "Bake again")
+
+    return same
+
+
 def fingerprint(context: bpy.types.Context) -> tuple:
     """What tells whether objects have come, gone, moved or been edited in the scene of `context` between two looks, cheap to take."""
     scene, layer = context.scene, context.view_layer
     layer.update()  # after a removal its list of objects has a hole until then
-    return (scene.session_uid, layer.name, scene.frame_current, tuple(_seen(obj) for obj in layer.objects))
+    # In Edit Mode the mesh stays as it was until that is left; the mode is seen.
+    meshes = {obj.data for obj in layer.objects if obj.type == "MESH"}
+    shapes = tuple(sorted((mesh.session_uid, *_counts(mesh), _shape(mesh)) for mesh in meshes))
+    return (scene.session_uid, layer.name, scene.frame_current, tuple(_seen(obj) for obj in layer.objects), shapes)
 
 
 def _seen(obj: bpy.types.Object) -> tuple:
     data = obj.data
-    counts = _counts(data) if obj.type == "MESH" else ()
     modifiers = tuple((m.name, m.type, m.show_viewport, m.show_render) for m in obj.modifiers)
     place = np.array(obj.matrix_world, np.float32).tobytes()  # bytes: what is no number is equal to itself, too
-    return (obj.session_uid, data.session_uid if data else 0, obj.mode, obj.hide_render, counts, modifiers, place)
+    return (obj.session_uid, data.session_uid if data else 0, obj.mode, obj.hide_render, modifiers, place)
 
 
 def _counts(mesh: bpy.types.Mesh) -> tuple[int, int, int]:

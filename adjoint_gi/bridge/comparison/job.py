@@ -9,12 +9,13 @@ import bpy
 from ...core.base.errors import AdjointError, Notice
 from ...core.comparison.run import Result
 from ..host import background, files
+from ..host.prepared import PreparedJob
 from . import records
 from .files import check_files, write_files
 from .request import Compare, CompareRequest
 
 
-class CompareJob(background.Job):
+class CompareJob(PreparedJob):
     """One comparison, and the folder for its files."""
 
     def __init__(self, context: bpy.types.Context, request: CompareRequest) -> None:
@@ -22,9 +23,12 @@ class CompareJob(background.Job):
         self.folder = files.output_folder(request.output) if request.output else None
         if self.folder is not None:
             check_files(request, self.folder)
-        with background.undo_step_of_additions("Adjoint GI Lightmap UVs"):
-            self.made = Compare(context, request)
-        super().__init__(context.scene.session_uid, self.made.driver)
+        self.made = Compare(context, request, now=False)
+        super().__init__(context.scene.session_uid, self.made.preparing())
+
+    def take_driver(self) -> None:
+        """The driver takes the place of what prepared it."""
+        self.driver = self.made.driver
 
     @property
     def complete(self) -> bool:

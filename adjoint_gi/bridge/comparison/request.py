@@ -25,7 +25,9 @@ from ...core.comparison.run import Comparison, Result
 from ...core.method import registry
 from ...core.method.driver import Driver
 from ..baking.bake import Bake
+from ..baking.watch import unchanged
 from ..extract.camera import render_size
+from ..host.preparation import Stages, finish_stages
 from ..props.request import RECEIVERS, BakeRequest
 from ..results.show import put_aside
 from .cycles_reference import bake_reference
@@ -107,33 +109,54 @@ class CompareRequest:
 class Compare:
     """See the head of this file. `notices` were found before the run."""
 
-    def __init__(self, context: bpy.types.Context, request: CompareRequest) -> None:
-        """Raises `AdjointError` when it is refused. May make lightmap UV layers, as a bake does, and nothing else."""
-        self.request = request
-        plan = request.plan()
+    def __init__(self, context: bpy.types.Context, request: CompareRequest, now: bool = True) -> None:
+        """Raises `AdjointError` when it is refused. May make lightmap UV layers, as a bake does, and nothing else.
+
+        Without `now` only what can be seen at once is looked at, and the caller has to run `preparing` before anything else.
+        """
+        self.request, self.plan = request, request.plan()
         if request.receivers not in PLACES:
             raise SettingsError("receivers", f"{request.receivers!r} is not possible", "Choose one of: " + ", ".join(PLACES))
-        camera = request.receivers == "camera"
-        if camera and request.reference.kind == "cycles":
+        self.camera = request.receivers == "camera"
+        if self.camera and request.reference.kind == "cycles":
             raise SettingsError("reference", "Cycles bakes texels, not a camera's picture", "Compare on textures, or choose a method")
-
-        # Step 1: receivers, checked and placed as for a bake of a method that takes the scene as it is.
         self.scene_name = context.scene.name
-        self.bake = Bake(context, _placing(context, request))
-        self.notices: list[Notice] = [n for n in self.bake.notices if n.severity == "warning"]
-        world, receivers = self.bake.driver.world, self.bake.driver.receivers
-        self.sheets = [] if camera else self.bake.writer.sheets
+        self.bake = Bake(context, _placing(context, request), now=False)
+        if now:
+            finish_stages(self.preparing())
 
-        # Step 2: a reference that no method makes.
-        reference: Reference | None = None
-        if request.reference.kind == "constant":
-            reference = constant_reference(request.reference.value, receivers.count)
-        elif request.reference.kind == "cycles":
-            longest = max((s.max_length for s in plan.settings.values()), default=Settings().max_length)
-            with put_aside(context.scene, context.view_layer):
-                reference = bake_reference(context, world, self.sheets, receivers.count, request.reference.samples, longest)
-            self.notices += reference.notices
-        self.driver = Driver(Comparison(reference), world, receivers, plan)
+    def preparing(self) -> Stages[None]:
+        """Place the receivers, bake a reference and make the driver. Raises as the class does; then what was made is taken back."""
+        # Step 1: receivers, checked and placed as for a bake of a method that takes the scene as it is.
+        yield from self.bake.preparing()
+        try:
+            self.notices: list[Notice] = [n for n in self.bake.notices if n.severity == "warning"]
+            self.sheets = [] if self.camera else self.bake.writer.sheets
+
+            # Step 2: a reference that no method makes.
+            reference = yield from self._reference()
+        except BaseException:
+            self.bake.take_back()
+            raise
+        world, receivers = self.bake.driver.world, self.bake.driver.receivers
+        self.driver = Driver(Comparison(reference), world, receivers, self.plan)
+
+    def _reference(self) -> Stages[Reference | None]:
+        """The constant, or what Cycles bakes now, in one call that Blender waits for; None where a method makes it."""
+        choice, world, count = self.request.reference, self.bake.driver.world, self.bake.driver.receivers.count
+        if choice.kind == "constant":
+            return constant_reference(choice.value, count)
+        if choice.kind != "cycles":
+            return None
+        same = unchanged()
+        yield "Baking a reference by Cycles"
+        same()
+        context = bpy.context
+        longest = max((s.max_length for s in self.plan.settings.values()), default=Settings().max_length)
+        with put_aside(context.scene, context.view_layer):
+            reference = bake_reference(context, world, self.sheets, count, choice.samples, longest)
+        self.notices += reference.notices
+        return reference
 
     # ---- pictures
 

@@ -53,6 +53,14 @@ class ImageStore:
             notices.add(*said)
         return found[0]
 
+    def holds(self, key: Hashable) -> bool:
+        """Whether the texture of `key` is known."""
+        return key in self._known
+
+    def put(self, key: Hashable, texture: Texture | None, said: list[tuple[str, str, str, str]]) -> None:
+        """Keep a texture that was read, and what was said of it, for the next extraction."""
+        self._known[key] = texture, said
+
     def settle(self) -> None:
         """The end of an extraction: forget what it did not ask for."""
         self._known = {key: self._known[key] for key in self._asked if key in self._known}

@@ -9,10 +9,10 @@ alpha to bytes. Both are exact here.
 
 from __future__ import annotations
 
-import functools
 import os
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -32,6 +32,29 @@ MEAN_OF_NOTHING = (0.8, 0.8, 0.8, 1.0)  # for an image without pixels: Cycles' d
 LINEAR = {"Non-Color", "Linear Rec.709", "scene_linear", "Linear", "Raw"}
 ASSOCIATED = {"OPEN_EXR", "OPEN_EXR_MULTILAYER", "HDR", "DPX", "CINEON"}  # formats whose colours are stored times alpha
 GREY = "its place is taken by the grey 0.8"
+
+
+@dataclass(frozen=True, eq=False)
+class HandedOut:
+    """What Blender says of one image.
+
+    name             what notices call it
+    image            its own name
+    pixels           (h, w, c) float32 with 1 to 4 channels, as Blender hands them out
+    space, is_data   its colour space, and whether that is one of numbers that are no colours
+    stored_straight  whether its file's format stores colours independent of alpha
+    is_made          whether Blender made it, without a file
+    """
+
+    name: str
+    image: str
+    pixels: np.ndarray
+    is_float: bool
+    space: str
+    is_data: bool
+    alpha_mode: str
+    stored_straight: bool
+    is_made: bool
 
 
 class Images:
@@ -63,9 +86,19 @@ class Images:
             self._index[key] = None if read is None else self._add(renamed(read, image.name, extension, interpolation))
         return self._index[key]
 
-    def know(self, image: bpy.types.Image) -> Texture | None:
-        """Read it, as it is where its Alpha output is not used, for whoever asks for it later; None where it cannot be kept."""
-        return self._once(image, straight=False) if fingerprint(image) is not None else None
+    def knowing(self, image: bpy.types.Image) -> Stages[None]:
+        """Read it, as it is where its Alpha output is not used, for whoever asks for it later; nothing where it is known or cannot be kept.
+
+        Blender is asked in the first slice, and its floats are made to a texture aside.
+        """
+        key = fingerprint(image)
+        if key is None or KNOWN.holds((*key, False)):
+            return
+        self._notices.begin()
+        asked, texture = self._ask(image), None
+        if asked is not None:
+            texture = yield Aside(f"Reading image {image.name}", once(lambda: _ranged(self._texture(asked, straight=False))))
+        KNOWN.put((*key, False), texture, self._notices.said)
 
     def derive(self, texture: int, key: tuple, pixels: Callable[[np.ndarray], np.ndarray]) -> int:
         """Index of a texture with the same lookup and other pixels, which `pixels` makes of some of them ((n, 4) float32, in place or not);
@@ -134,6 +167,11 @@ class Images:
 
     def _read(self, image: bpy.types.Image, straight: bool, name: str = "") -> Texture | None:
         """Its pixels, as bytes where it has bytes. Notices call the image `name` where it stands for another."""
+        asked = self._ask(image, name)
+        return self._texture(asked, straight) if asked is not None else None
+
+    def _ask(self, image: bpy.types.Image, name: str = "") -> HandedOut | None:
+        """What Blender says of an image; None with a notice when it has no usable pixels."""
         name = name or f'Image "{image.name}"'
         had = image.has_data
         if not had and not self._may_decode(image, name):
@@ -151,15 +189,20 @@ class Images:
             self._notices.add(name, "is a movie; one frame of it is used", "Use a single image or an image sequence")
         flat = np.empty(width * height * image.channels, np.float32)
         image.pixels.foreach_get(flat)
-        raw = flat.reshape(height, width, image.channels)
-        if image.is_float:
-            pixels = _rgba(raw)
-            texture = Texture(image.name, compact(self._linear(image, name, pixels, straight)))
-        else:
-            texture = self._bytes_of(image, name, as_bytes(flat).reshape(raw.shape), straight)
+        space = image.colorspace_settings
+        made = image.source == "GENERATED"
+        stored_straight = not made and image.file_format not in ASSOCIATED
+        pixels = flat.reshape(height, width, image.channels)
+        asked = HandedOut(name, image.name, pixels, image.is_float, space.name, space.is_data, image.alpha_mode, stored_straight, made)
         if not had and image.source in ("FILE", "TILED") and not image.is_dirty:
             image.buffers_free()  # it was not loaded before: leave no memory behind
-        return texture
+        return asked
+
+    def _texture(self, asked: HandedOut, straight: bool) -> Texture:
+        """The texture of what Blender has said. Needs no Blender."""
+        if asked.is_float:
+            return Texture(asked.image, compact(self._linear(asked, _rgba(asked.pixels), straight)))
+        return self._bytes_of(asked, as_bytes(asked.pixels.ravel()).reshape(asked.pixels.shape), straight)
 
     def _may_decode(self, image: bpy.types.Image, name: str) -> bool:
         """Whether an image that is not loaded may be: it is known to fit; a notice if not. Blender decodes it when asked for its size."""
@@ -188,40 +231,40 @@ class Images:
         self._notices.add(name, f"has {size[0]} x {size[1]} pixels, more than {limit} x {limit}; {GREY}", "Scale it down")
         return False
 
-    def _bytes_of(self, image: bpy.types.Image, name: str, stored: np.ndarray, straight: bool) -> Texture:
+    def _bytes_of(self, asked: HandedOut, stored: np.ndarray, straight: bool) -> Texture:
         """An image of bytes with its colour space and alpha. `stored` is (h, w, c) uint8 with 1 to 4 channels."""
         varies = stored.shape[2] in (2, 4) and bool((stored[..., -1] != 255).any())
-        has_alpha = self._has_alpha(image, name, varies)
+        has_alpha = self._has_alpha(asked, varies)
         if stored.shape[2] == 4 and not varies:
             stored = np.ascontiguousarray(stored[..., :3])
-        space = image.colorspace_settings.name
+        space = asked.space
         if space not in LINEAR and space != "sRGB":
-            self._notices.add(name, f'has the colour space "{space}"; it is read as sRGB', "Convert it to sRGB or to a float image")
-        return Texture(name, stored, srgb=space not in LINEAR, times_alpha=has_alpha and not straight)
+            self._notices.add(asked.name, f'has the colour space "{space}"; it is read as sRGB', "Convert it to sRGB or to a float image")
+        return Texture(asked.name, stored, srgb=space not in LINEAR, times_alpha=has_alpha and not straight)
 
-    def _has_alpha(self, image: bpy.types.Image, name: str, varies: bool) -> bool:
+    def _has_alpha(self, asked: HandedOut, varies: bool) -> bool:
         """Whether colours count times alpha, which `varies`; a notice where the image is marked otherwise than its format has it."""
-        mode = image.alpha_mode
-        has_alpha = mode in ("STRAIGHT", "PREMUL") and varies and not image.colorspace_settings.is_data
-        if has_alpha and image.source != "GENERATED" and _stored_straight(image) != (mode == "STRAIGHT"):
-            usual = "Straight" if _stored_straight(image) else "Premultiplied"
+        mode = asked.alpha_mode
+        has_alpha = mode in ("STRAIGHT", "PREMUL") and varies and not asked.is_data
+        if has_alpha and not asked.is_made and asked.stored_straight != (mode == "STRAIGHT"):
+            usual = "Straight" if asked.stored_straight else "Premultiplied"
             text = f"is marked as having {mode.lower()} alpha, unlike its file format, which versions of Cycles read in different ways"
-            self._notices.add(name, text, f"Set its Alpha to {usual}")
+            self._notices.add(asked.name, text, f"Set its Alpha to {usual}")
         return has_alpha
 
-    def _linear(self, image: bpy.types.Image, name: str, pixels: np.ndarray, straight: bool) -> np.ndarray:
+    def _linear(self, asked: HandedOut, pixels: np.ndarray, straight: bool) -> np.ndarray:
         """Alpha of freshly read float pixels (h, w, 4), which Blender hands out scene-linear."""
         bad = ~np.isfinite(pixels)
         if bad.any():
-            self._notices.add(name, "holds values that are not numbers; they count as 0", "Repair the image")
+            self._notices.add(asked.name, "holds values that are not numbers; they count as 0", "Repair the image")
             pixels[bad] = 0.0
         alpha = pixels[:, :, 3:4]
-        has_alpha = self._has_alpha(image, name, bool((alpha != 1.0).any()))
-        if has_alpha and (straight or _stored_straight(image)):
+        has_alpha = self._has_alpha(asked, bool((alpha != 1.0).any()))
+        if has_alpha and (straight or asked.stored_straight):
             with np.errstate(divide="ignore", invalid="ignore"):
                 pixels[:, :, :3] = np.where(alpha > 0.0, pixels[:, :, :3] / alpha, pixels[:, :, :3])
             if not straight:
-                self._multiply_stored(pixels, image.colorspace_settings.name, name)
+                self._multiply_stored(pixels, asked.space, asked.name)
         return pixels
 
     def _multiply_stored(self, pixels: np.ndarray, space: str, name: str) -> None:
@@ -235,11 +278,6 @@ class Images:
             self._notices.add(name, text, "Convert it to sRGB")
 
 
-def _stored_straight(image: bpy.types.Image) -> bool:
-    """Whether colours are stored independent of alpha."""
-    return image.source != "GENERATED" and image.file_format not in ASSOCIATED
-
-
 def reading(context: bpy.types.Context) -> Stages[None]:
     """Read the files of images on the objects of `context` that are not known yet, one in each slice; an extraction finds them known then.
     What there is to say of them is said by the extraction."""
@@ -249,9 +287,14 @@ def reading(context: bpy.types.Context) -> Stages[None]:
     for name in names:
         yield f"Reading image {name}"
         image = bpy.data.images.get(name)  # anything may have happened meanwhile
-        texture = Images(Notices(), 0).know(image) if image is not None else None
-        if texture is not None:
-            yield Aside(f"Reading image {name}", once(functools.partial(getattr, texture, "ranges")))
+        if image is not None:
+            yield from Images(Notices(), 0).knowing(image)
+
+
+def _ranged(texture: Texture) -> Texture:
+    """The texture with its ranges, which it keeps, computed."""
+    _ = texture.ranges
+    return texture
 
 
 def _images_of(tree: bpy.types.NodeTree, depth: int = 0) -> Iterator[bpy.types.Image]:
