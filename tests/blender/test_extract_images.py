@@ -14,6 +14,7 @@ import pytest
 from adjgi.adjoint_gi.bridge.extract import image_store, images
 from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from adjgi.adjoint_gi.bridge.extract.image_header import sequence_file
+from adjgi.adjoint_gi.bridge.host.preparation import finish_stages
 from adjgi.adjoint_gi.core.base.steps import finish
 from adjgi.adjoint_gi.core.images.headers import header_of_bytes
 from adjgi.tests.core import test_headers as headers
@@ -290,6 +291,29 @@ def test_budget_of_all_images(monkeypatch):
         assert small.row_means[-1, 0] > 10 * small.row_means[0, 0], "the picture is still there"
     (notice,) = [n for n in arrays.warnings if "all images together" in n.reason]
     assert notice.names == ('Image "second"', 'Image "third"') and "smaller copy" in notice.reason
+
+
+def test_an_image_that_blender_holds_is_read_once_for_a_bake_and_again_when_it_is_over(tmp_path, monkeypatch):
+    image_store.KNOWN.clear()
+    image = bpy.data.images.load(png(tmp_path / "a.png", (0.8, 0.4, 0.2, 1.0)))
+    painted = bpy.data.images.load(png(tmp_path / "b.png", (0.2, 0.4, 0.2, 1.0)))
+    for shown in (image, painted):
+        emitter(shown)
+        assert shown.pixels[0] > 0 and shown.has_data  # as a viewport that shows it has
+    reads = read_count(monkeypatch)
+    finish_stages(images.reading(bpy.context))
+    assert len(reads) == 2
+    notices()
+    painted.pixels[0] = 1.0
+    notices()
+    assert len(reads) == 3, "what was painted meanwhile is read as it is now"
+    images.return_images()
+    png(tmp_path / "a.png", (0.1, 0.4, 0.2, 1.0))
+    image.reload()
+    assert image.pixels[0] < 0.5
+    arrays, _ = notices()
+    assert len(reads) == 5
+    assert min(t.stored[..., 0].min() for t in arrays.textures) < 0.5 * 255
 
 
 def test_images_are_read_one_by_one_before_the_extraction(tmp_path, monkeypatch):

@@ -25,7 +25,7 @@ from ...core.method.solution import Solution
 from ...core.scene.arrays import SceneArrays
 from ...core.scene.world import World
 from ..extract.depsgraph import extracting
-from ..extract.images import reading
+from ..extract.images import reading, return_images
 from ..host import files
 from ..host.preparation import Aside, Stages, finish_stages, once
 from ..props.request import BakeRequest, raise_first
@@ -74,7 +74,10 @@ class Bake:
         Raises as the class does, and when the user changes the scene meanwhile; what was made on the objects is taken back then, and when
         it is closed.
         """
-        built = yield from building(self.request, said := [])
+        try:
+            built = yield from building(self.request, said := [])
+        finally:
+            return_images()
         self._undo, self._real = built.undo, built.real
         self.request, self.writer, self.driver = built.writer.request, built.writer, built.driver
         self.notices = [n for n in ordered(said) if n.severity != "error"]
@@ -197,7 +200,10 @@ def rehearse(context: bpy.types.Context, request: BakeRequest) -> list[Notice]:
     """All that a bake would say before its first result, errors first. All of it is done, by the same code, and taken back."""
     said: list[Notice] = []
     try:
-        built = finish_stages(building(request, said))
+        try:
+            built = finish_stages(building(request, said))
+        finally:
+            return_images()
         with built.undo:
             _first_step(built.driver)
     except AdjointError as error:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import zlib
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 
 import bpy
 
@@ -38,10 +38,10 @@ class ImageStore:
     """Textures by what they were read from. What one extraction does not ask for is let go at its end."""
 
     def __init__(self) -> None:
-        self._known: dict[Hashable, tuple[Texture | None, list[tuple[str, str, str, str]]]] = {}
-        self._asked: set[Hashable] = set()
+        self._known: dict[tuple, tuple[Texture | None, list[tuple[str, str, str, str]]]] = {}
+        self._asked: set[tuple] = set()
 
-    def get(self, key: Hashable, notices: Recorder, read: Callable[[], Texture | None]) -> Texture | None:
+    def get(self, key: tuple, notices: Recorder, read: Callable[[], Texture | None]) -> Texture | None:
         """The texture of `key`, by `read` where it is not known; its notices are said either way."""
         self._asked.add(key)
         found = self._known.get(key)
@@ -53,13 +53,17 @@ class ImageStore:
             notices.add(*said)
         return found[0]
 
-    def holds(self, key: Hashable) -> bool:
+    def holds(self, key: tuple) -> bool:
         """Whether the texture of `key` is known."""
         return key in self._known
 
-    def put(self, key: Hashable, texture: Texture | None, said: list[tuple[str, str, str, str]]) -> None:
+    def put(self, key: tuple, texture: Texture | None, said: list[tuple[str, str, str, str]]) -> None:
         """Keep a texture that was read, and what was said of it, for the next extraction."""
         self._known[key] = texture, said
+
+    def drop(self, mark: str) -> None:
+        """Forget all whose key begins with `mark`."""
+        self._known = {key: found for key, found in self._known.items() if key[0] != mark}
 
     def settle(self) -> None:
         """The end of an extraction: forget what it did not ask for."""

@@ -87,11 +87,11 @@ class Images:
         return self._index[key]
 
     def knowing(self, image: bpy.types.Image) -> Stages[None]:
-        """Read it, as it is where its Alpha output is not used, for whoever asks for it later; nothing where it is known or cannot be kept.
+        """Read it, as it is where its Alpha output is not used, for who asks for it later; nothing where it is known or was painted.
 
         Blender is asked in the first slice, and its floats are made to a texture aside.
         """
-        key = fingerprint(image)
+        key = fingerprint(image) or _lent(image)
         if key is None or KNOWN.holds((*key, False)):
             return
         self._notices.begin()
@@ -162,7 +162,10 @@ class Images:
         """`_read`, or what it gave before when nothing that it depends on has changed since."""
         key = fingerprint(image)
         if key is None:
-            return self._read(image, straight)
+            lent = _lent(image)
+            if lent is None or not KNOWN.holds((*lent, straight)):
+                return self._read(image, straight)
+            key = lent
         return KNOWN.get((*key, straight), self._notices, lambda: self._read(image, straight))
 
     def _read(self, image: bpy.types.Image, straight: bool, name: str = "") -> Texture | None:
@@ -278,9 +281,27 @@ class Images:
             self._notices.add(name, text, "Convert it to sRGB")
 
 
+LENT = "lent"  # marks what is known of an image only until `return_images`
+
+
+def _lent(image: bpy.types.Image) -> tuple | None:
+    """What stands for the pixels of an image that Blender holds as they are in its file; None where they are others.
+
+    Whatever sets pixels marks the image as changed, but a reload does not, so what is known by this is not kept for long.
+    """
+    if image.source != "FILE" or image.is_dirty or not image.has_data:
+        return None
+    return LENT, image.session_uid, image.name, image.colorspace_settings.name, image.alpha_mode
+
+
+def return_images() -> None:
+    """The end of what `reading` was for: images that Blender holds are read again by who asks for them next."""
+    KNOWN.drop(LENT)
+
+
 def reading(context: bpy.types.Context) -> Stages[None]:
-    """Read the files of images on the objects of `context` that are not known yet, one in each slice; an extraction finds them known then.
-    What there is to say of them is said by the extraction."""
+    """Read the images of files on the objects of `context` that are not known yet, one in each slice; an extraction finds them known then.
+    What there is to say of them is said by the extraction. Whoever calls it calls `return_images` when the bake is prepared."""
     context.view_layer.update()
     trees = {slot.material.node_tree for obj in context.view_layer.objects for slot in obj.material_slots if slot.material is not None}
     names = sorted({image.name for tree in trees if tree is not None for image in _images_of(tree)})
@@ -292,8 +313,8 @@ def reading(context: bpy.types.Context) -> Stages[None]:
 
 
 def _ranged(texture: Texture) -> Texture:
-    """The texture with its ranges, which it keeps, computed."""
-    _ = texture.ranges
+    """The texture with what extractions ask of it, and it keeps, computed."""
+    _ = texture.ranges, texture.is_grey
     return texture
 
 

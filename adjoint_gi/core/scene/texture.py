@@ -45,11 +45,14 @@ class Texture:
         """(h, w, 4) float32 scene-linear, all at once."""
         return self._decoded(self.stored.reshape(-1, self.stored.shape[2])).reshape(self.height, self.width, 4)
 
-    @property
+    @functools.cached_property
     def is_grey(self) -> bool:
         """Whether the three colour channels are equal in every texel."""
-        s = self.stored
-        return s.shape[2] < 3 or bool((s[:, :, 0] == s[:, :, 1]).all() and (s[:, :, 1] == s[:, :, 2]).all())
+        if self.stored.shape[2] < 3:
+            return True
+        step = max(1, BLOCK // self.width)  # a part at a time: colour shows soon
+        parts = (self.stored[first : first + step] for first in range(0, self.height, step))
+        return all(bool((s[:, :, 0] == s[:, :, 1]).all() and (s[:, :, 1] == s[:, :, 2]).all()) for s in parts)
 
     def blocks(self) -> Iterator[tuple[slice, np.ndarray]]:
         """(rows, (n, w, 4) float32 scene-linear) of the image from its bottom up, a part at a time."""
@@ -174,7 +177,7 @@ def shrunk(texture: Texture, most: int) -> Texture:
 def renamed(texture: Texture, name: str, extension: str, interpolation: str) -> Texture:
     """The same stored values, looked up in another way; what is known of them stays known."""
     made = replace(texture, name=name, extension=extension, interpolation=interpolation)
-    made.__dict__.update({key: texture.__dict__[key] for key in ("ranges", "row_means") if key in texture.__dict__})
+    made.__dict__.update({key: texture.__dict__[key] for key in ("ranges", "row_means", "is_grey") if key in texture.__dict__})
     return made
 
 
