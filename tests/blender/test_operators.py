@@ -74,7 +74,7 @@ def test_camera_picture(scene, tmp_path):
         (lambda s: setattr(s, "folder", bpy.app.binary_path or bpy.__file__), "is a file"),
         (lambda s: (setattr(s, "target", "attribute"), setattr(s, "attribute", "  ")), "name"),
         (lambda s: [o.select_set(False) for o in bpy.context.scene.objects], "selected"),
-        (lambda s: setattr(s.settings_path_tracing, "min_length", 100), "min_length"),
+        (lambda s: [setattr(s.settings_path_tracing, name, n) for name, n in (("max_length", 64), ("min_length", 100))], "min_length"),
     ],
 )
 def test_refusals_change_nothing(scene, break_it, words):
