@@ -46,7 +46,7 @@ def extracting(
     resolution: tuple[int, int] | None = None,
     real: Mapping[str, bpy.types.Object] | None = None,
 ) -> Stages[SceneArrays]:
-    """`extract` in two slices: Blender is copied at once, up to the first yield; what is computed of copied arrays runs aside."""
+    """`extract` in two slices: Blender is asked at once, up to the first yield; what is computed of copied arrays runs aside."""
     notices = Notices()
     # A depsgraph of a render lists what is hidden in the viewport anyway.
     with unhidden(depsgraph.view_layer) if depsgraph.mode == "VIEWPORT" else contextlib.nullcontext():
