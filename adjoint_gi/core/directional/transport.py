@@ -119,7 +119,7 @@ class DirectionalTransport:
 
     def _mean(self, x: np.ndarray) -> np.ndarray:
         """Means (n, bins, c) over the rays of each pair, of x (n bins rays, c)."""
-        return x.reshape(-1, self.rays, x.shape[1]).mean(axis=1).reshape(self.count, self.bins.size, -1)
+        return x.reshape(-1, self.rays, x.shape[1]).mean(axis=1).reshape(self.count, self.bins.size, x.shape[1])
 
     def _colored(self, values: np.ndarray, ray: np.ndarray, channel: int) -> np.ndarray:
         return values if self.color is None else values * self.color[ray, channel]
