@@ -13,6 +13,7 @@ from ...core.base.errors import Notice, TargetError
 from ...core.base.text import json_text
 from ...core.elements.elements import Elements
 from ...core.elements.mesh import ElementNodes, mesh_solution
+from ...core.flux.facing import baked_sides
 from ...core.method.solution import Solution
 from ...core.receivers.base import Receivers
 from ...core.receivers.vertices import VertexMap, vertex_receivers
@@ -42,7 +43,8 @@ class AttributeWriter(Writer):
             elements = Elements(world, request.settings.max_edge, request.solver.element_target(request.settings))
             self.nodes = ElementNodes(elements, indices)
             return self.nodes
-        self.vertices = vertex_receivers(world, indices, request.domain)
+        facing = baked_sides(world, indices).facing
+        self.vertices = vertex_receivers(world, indices, request.domain, facing=facing)
         return self.vertices.receivers
 
     def write(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:

@@ -16,6 +16,7 @@ from ...core.base.errors import AdjointError, Notice, TargetError
 from ...core.base.resources import SHARE, available_memory, size_text
 from ...core.elements.elements import Elements
 from ...core.flux.density import own_resolutions
+from ...core.flux.facing import baked_sides
 from ...core.lights.background import Background
 from ...core.receivers.base import Receivers
 from ...core.receivers.texels import memory as lightmap_memory
@@ -196,7 +197,9 @@ def _of_arrays(world: World, request: BakeRequest, receivers: list[int], sides: 
     notices = []
     if not emits(world):
         notices.append(Notice("Scene", "nothing emits light; the result is black", "Add a light, an emitting material or a world colour"))
-    notices += openness.notices(world, set(receivers))
+    sides = baked_sides(world, receivers).notices
+    turned = {n.object for n in sides}
+    notices += [*sides, *(n for n in openness.notices(world, set(receivers)) if n.object not in turned)]
     notices += world.shading.substitutions(request.solver.spec.lobes)
     return notices + estimates(world, request, receivers, sides)
 

@@ -14,6 +14,7 @@ from ...core.base.errors import AdjointError, Notice
 from ...core.base.steps import Steps, within
 from ...core.base.text import json_text
 from ...core.flux.density import Given, given, seen
+from ...core.flux.facing import baked_sides
 from ...core.images.exr import write_exr
 from ...core.images.png import write_png
 from ...core.method.solution import Solution
@@ -114,19 +115,21 @@ class TextureWriter(Writer):
 
     def _sheets(self, groups: list[list[int]], layers: list[list[str]], sides: np.ndarray) -> Steps[None]:
         """The sheets of all groups of objects, with their UV `layers` and texels a side, and all receivers. Needs no Blender."""
+        facing = baked_sides(self.world, [i for group in groups for i in group]).facing
         sheets = []
         for group, names, side in zip(groups, layers, sides, strict=True):
-            sheets.append(self._sheet(group, names, int(side)))
+            sheets.append(self._sheet(group, names, int(side), facing))
             yield len(sheets) / len(groups)
         self.given = [part for group, sheet in zip(groups, sheets, strict=True) for part in sheet.given(self.world, group)]
         self.receivers, parts = join([sheet.lightmap.receivers for sheet in sheets])
         self.sheets: Sequence[Sheet] = [replace(sheet, part=part) for sheet, part in zip(sheets, parts, strict=True)]
 
-    def _sheet(self, group: list[int], layers: list[str], resolution: int) -> Sheet:
+    def _sheet(self, group: list[int], layers: list[str], resolution: int, facing: np.ndarray | None) -> Sheet:
         """The texels of the objects `group`, which share one image of `resolution`. Needs no Blender."""
         request, world = self.request, self.world
         objects = [world.scene.objects[i] for i in group]
-        lightmap = rasterize(world, group, dict(zip(group, layers, strict=True)), resolution, request.subsamples)
+        uv_layers = dict(zip(group, layers, strict=True))
+        lightmap = rasterize(world, group, uv_layers, resolution, request.subsamples, facing=facing)
         self.notices += lightmap.warnings
         name = outputs.title(request, self.scene_name, objects[0].source)
         return Sheet(name, tuple(o.uid for o in objects), lightmap, slice(0), tuple(layers))

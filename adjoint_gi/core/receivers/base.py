@@ -59,13 +59,16 @@ class SurfaceReceivers(Receivers):
     """Receivers that are small sets of surface points: the sub-texels of a texel, the faces around a vertex.
 
     Point k of receiver i is entry `start[i] + k` of `triangle`, `u`, `v`; `start` has count + 1 entries and every receiver
-    has at least one point.
+    has at least one point. facing (nt, 3) float32: the normals of the baked sides of all triangles of the scene; None: their fronts.
     """
 
     takes_uniform = True
 
-    def __init__(self, kind: str, start: np.ndarray, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> None:
+    def __init__(
+        self, kind: str, start: np.ndarray, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, facing: np.ndarray | None = None
+    ) -> None:
         self.kind = kind
+        self.facing = facing
         self.start = np.asarray(start, np.int64)
         self.triangle = np.asarray(triangle, np.int32)
         self.u = np.asarray(u, np.float32)
@@ -78,14 +81,26 @@ class SurfaceReceivers(Receivers):
         first = self.start.take(receiver)
         many = self.start.take(receiver + 1) - first
         pick = first + np.minimum((x * many).astype(np.int64), many - 1)
-        return Points(receiver, self.triangle.take(pick), self.u.take(pick), self.v.take(pick))
+        triangle = self.triangle.take(pick)
+        return Points(receiver, triangle, self.u.take(pick), self.v.take(pick), self.towards(triangle))
+
+    def towards(self, triangle: np.ndarray) -> np.ndarray | None:
+        """(n, 3) float32 directions on the baked side of triangles (n,); None where all are fronts."""
+        return None if self.facing is None else self.facing[triangle]
 
     def sites(self) -> Iterator[Points]:
         """All points."""
         owner = np.repeat(np.arange(self.count), np.diff(self.start))
         for a in range(0, len(owner), POINTS_PER_CHUNK):
             b = slice(a, a + POINTS_PER_CHUNK)
-            yield Points(owner[b], self.triangle[b], self.u[b], self.v[b])
+            yield Points(owner[b], self.triangle[b], self.u[b], self.v[b], self.towards(self.triangle[b]))
+
+
+def turned(world: World, facing: np.ndarray | None) -> np.ndarray:
+    """(nt,) bool: the triangles of `world` whose backs are baked, by `facing` as in `SurfaceReceivers`."""
+    if facing is None:
+        return np.zeros(world.triangle_count, bool)
+    return np.einsum("ij,ij->i", world.rows[:, 9:12], facing) < 0
 
 
 class CameraReceivers(Receivers):

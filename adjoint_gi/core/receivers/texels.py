@@ -11,7 +11,7 @@ from ..base.errors import MemoryRefused, Notice, TargetError
 from ..sampling.additive import STEPS, additive
 from ..scene.topology import uv_charts, weld
 from ..scene.world import World
-from .base import SurfaceReceivers
+from .base import SurfaceReceivers, turned
 from .inside import Interiors
 from .rasterize import PLACES_PER_CHUNK, Claims, Shapes, claim_places
 from .runs import UvTriangles
@@ -97,12 +97,14 @@ def rasterize(
     subsamples: int = 4,
     placement: Mapping[int, Placement] | None = None,
     memory_limit: int = MEMORY_LIMIT,
+    facing: np.ndarray | None = None,
 ) -> Lightmap:
     """Find the surface points of every texel of an image shared by `objects` (indices into `world.scene.objects`).
 
     `uv_layer` is one name for all, or one for each object; "" is the layer used for rendering. `resolution` is (width, height).
     A texel is covered if any of its `subsamples` places lies inside a triangle; a place that two triangles claim goes to the one
-    with the lower index. Places inside bodies that stand on the surface are left out, and texels that have no others are not covered.
+    with the lower index. `facing` as in `SurfaceReceivers`. Places inside bodies that stand on the surface are left out, and texels
+    that have no others are not covered.
     Raises TargetError for a missing layer or when no texel is covered, MemoryRefused above `memory_limit`.
     """
     width, height = _checked(resolution, subsamples, memory_limit)
@@ -120,12 +122,12 @@ def rasterize(
         names = ", ".join(world.scene.objects[i].name for i in objects)
         raise TargetError(names, "no texel of the lightmap lies on the surface", "Unwrap into the unit square, or raise the resolution")
     first = (np.cumsum(claims.many, dtype=np.int64) - claims.many)[pixel]
-    item, u, v, many = _outside(world, triangle, claims)
+    item, u, v, many = _outside(world, triangle, claims, facing)
     pixel = np.flatnonzero(many)
     start = np.concatenate([[0], np.cumsum(many[pixel], dtype=np.int64)])
     chart_map = np.full(width * height, -1, np.int32)
     chart_map[pixel] = chart[item[start[:-1]]]
-    receivers = SurfaceReceivers("texels", start, triangle[item], u, v)
+    receivers = SurfaceReceivers("texels", start, triangle[item], u, v, facing)
 
     # Step 4: what is wrong with the layout.
     owned = np.bincount(chart[claims.item[first]], minlength=charts)
@@ -165,9 +167,12 @@ def _checked(resolution: int | tuple[int, int], subsamples: int, memory_limit: i
     return width, height
 
 
-def _outside(world: World, triangle: np.ndarray, claims: Claims) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _outside(
+    world: World, triangle: np.ndarray, claims: Claims, facing: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """`item`, `u`, `v` and `many` of the claims without points that lie inside bodies; an object that is inside as a whole keeps them."""
     inside = Interiors(world).hold(triangle[claims.item], claims.u, claims.v)
+    inside &= ~turned(world, facing)[triangle[claims.item]]  # bodies stand on fronts
     if not inside.any():
         return claims.item, claims.u, claims.v, claims.many
     owner = world.scene.object[triangle[claims.item]]
@@ -197,7 +202,7 @@ def join(parts: Sequence[SurfaceReceivers]) -> tuple[SurfaceReceivers, list[slic
         points, count = points + len(part.triangle), count + part.count
     kind = parts[0].kind
     merged = [np.concatenate([getattr(p, name) for p in parts]) for name in ("triangle", "u", "v")]
-    return SurfaceReceivers(kind, np.concatenate(starts), *merged), stretches
+    return SurfaceReceivers(kind, np.concatenate(starts), *merged, parts[0].facing), stretches
 
 
 def _gather(

@@ -47,12 +47,15 @@ class VertexMap:
         return self.index[object] >= 0
 
 
-def vertex_receivers(world: World, objects: Sequence[int], domain: str = "CORNER", inset: float = INSET) -> VertexMap:
+def vertex_receivers(
+    world: World, objects: Sequence[int], domain: str = "CORNER", inset: float = INSET, facing: np.ndarray | None = None
+) -> VertexMap:
     """Receivers for the vertices or corners of `objects` (indices into `world.scene.objects`).
 
     CORNER: corners at one vertex with the same corner normal share a receiver, so smooth surfaces stay smooth and hard edges hard.
     POINT: one receiver for each vertex, the mean over all its faces. The points of a receiver lie on small arcs around the
     vertex, their number grows with the angle of each face there (angle-weighted mean), and each has its own face's normal.
+    `facing` as in `SurfaceReceivers`.
     Raises TargetError when nothing can receive.
     """
     if domain not in DOMAINS:
@@ -86,7 +89,7 @@ def vertex_receivers(world: World, objects: Sequence[int], domain: str = "CORNER
     owner, tri, u, v = _outside(world, (np.concatenate(triangle), np.concatenate(corner), np.concatenate(receiver)), inset, count)
     order = np.argsort(owner, kind="stable")
     start = np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=count))])
-    return VertexMap(SurfaceReceivers("vertices", start, tri[order], u[order], v[order]), domain, index)
+    return VertexMap(SurfaceReceivers("vertices", start, tri[order], u[order], v[order], facing), domain, index)
 
 
 def _outside(world: World, arcs: tuple[np.ndarray, ...], inset: float, count: int) -> tuple[np.ndarray, ...]:

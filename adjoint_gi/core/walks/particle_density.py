@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..receivers.base import SurfaceReceivers
+from ..receivers.base import SurfaceReceivers, turned
 from ..receivers.inside import Interiors
 from ..sampling.additive import STEPS, additive
 from ..scene.world import Surface, World
@@ -76,7 +76,7 @@ class ParticleDensity:
         v = np.bincount(group, r.v[order]) / many if len(group) else many
         self.share = many / np.maximum(np.bincount(owner, minlength=r.count), 1)[self.owner]
         self.count = len(self.owner)
-        surface = self.world.surface(self.triangle, u.astype(np.float32), v.astype(np.float32))
+        surface = self.world.surface(self.triangle, u.astype(np.float32), v.astype(np.float32), r.towards(self.triangle))
         self.position, self.normal = surface.position, surface.ng
 
     def _make_grid(self, owner: np.ndarray) -> None:
@@ -153,7 +153,8 @@ class ParticleDensity:
         u, v = (1 - root).astype(np.float32), (t * root).astype(np.float32)
         # Step 2: those that nothing can reach.
         inside = self._interiors.hold(triangle, u, v) if self._any_inside else np.zeros(n, bool)
-        return self.world.surface(triangle, u, v), np.where(inside, 0.0, 1.0)
+        inside &= ~turned(self.world, self.receivers.facing)[triangle]
+        return self.world.surface(triangle, u, v, self.receivers.towards(triangle)), np.where(inside, 0.0, 1.0)
 
     def values(self, power: np.ndarray, area: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Irradiance (receivers, 3) float64 from kernel sums of power (count, 3) in W and area (count,) in m2, and the share (receivers,)

@@ -1,0 +1,90 @@
+"""Which side of each face a bake shows: the front, or the back where that is the one that is seen, or else the one that is lit.
+
+Rooms are modelled with faces whose normals point away from the room, and a render shows their backs. What is seen is found by particles
+of importance from the camera and from inside the scene (the potential of a view, Eq. 2), what is lit by particles of the lights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..base.errors import Notice
+from ..lights.emission import Emission, Particles
+from ..scene.world import World
+from ..walks.particles import Hits, walk
+from .density import views
+
+PARTICLES = 16384  # of each kind
+LENGTH = 4  # segments a particle is followed
+ENOUGH = 8  # arrivals at a triangle from which on they tell its side: of a sheet met from both sides all of 8 are at one by chance 1 in 128
+ENOUGH_OF_OBJECT = 50  # the same of an object, for its triangles that have fewer
+BACK = 0.9  # share of the arrivals at the back from which on it is the side that is baked
+
+
+@dataclass(frozen=True, eq=False)
+class BakedSides:
+    """facing (nt, 3) float32 as `SurfaceReceivers` has it, None where all are fronts; notices: the objects of which backs are baked."""
+
+    facing: np.ndarray | None
+    notices: tuple[Notice, ...]
+
+
+def baked_sides(world: World, objects: Sequence[int]) -> BakedSides:
+    """The sides of the triangles of `objects` (indices) to bake. The same every time."""
+    rng = np.random.default_rng(0)
+    seen = sum((_arrivals(world, start, rng, True) for start in views(world, PARTICLES, rng)), np.zeros((2, world.triangle_count)))
+    emission = Emission(world)
+    lit = np.zeros((2, world.triangle_count))
+    if not emission.is_dark and world.triangle_count:
+        lit = _arrivals(world, emission.draw(PARTICLES, rng), rng, False)
+    owner = world.scene.object
+    # What is seen decides; where too little of it is known, what is lit.
+    back, known = _by_back(world, seen)
+    also, _ = _by_back(world, lit)
+    back = np.where(known, back, also) & np.isin(owner, np.asarray(objects, np.int64))
+    if not back.any():
+        return BakedSides(None, ())
+    facing = np.where(back[:, None], -world.rows[:, 9:12], world.rows[:, 9:12])
+    return BakedSides(facing, tuple(_notices(world, back)))
+
+
+def _arrivals(world: World, start: Particles, rng: np.random.Generator, importance: bool) -> np.ndarray:
+    """(2, nt) float64 how many particles arrive at the fronts and at the backs of all triangles."""
+    sides = np.zeros((2, world.triangle_count))
+
+    def visit(hits: Hits) -> None:
+        surface = hits.surface
+        for k, of_side in enumerate((surface.side > 0, surface.side < 0)):
+            sides[k] += np.bincount(surface.triangle[of_side], minlength=world.triangle_count)
+
+    walk(world, start, LENGTH, rng, visit, importance=importance)
+    return sides
+
+
+def _by_back(world: World, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(nt,) bool: the back is met, and the front hardly; and (nt,) bool: enough arrived to tell. `sides` as of `_arrivals`.
+
+    Triangles with few arrivals follow their objects.
+    """
+    owner, objects = world.scene.object, len(world.scene.objects)
+    total = sides.sum(axis=0)
+    of_object, back_of_object = (np.bincount(owner, counts, objects)[owner] for counts in (total, sides[1]))
+    own = total >= ENOUGH
+    known = own | (of_object >= ENOUGH_OF_OBJECT)
+    back = np.where(own, sides[1] >= BACK * total, back_of_object >= BACK * of_object)
+    return back & known, known
+
+
+def _notices(world: World, back: np.ndarray) -> list[Notice]:
+    """One for each object of which backs are baked."""
+    owner = world.scene.object
+    out = []
+    for index in np.unique(owner[back]):
+        share = world.area[back & (owner == index)].sum() / max(float(world.area[owner == index].sum()), 1e-300)
+        which = "all faces are" if share > 1 - 1e-6 else "some faces are"
+        reason = f"{which} seen from behind, so their backs are baked"
+        out.append(Notice(world.scene.objects[index].name, reason, "", "info"))
+    return out

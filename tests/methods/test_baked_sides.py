@@ -1,0 +1,81 @@
+"""Faces that are seen from behind are baked from behind, by every method that answers texels and vertices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core.flux.facing import baked_sides
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.receivers.vertices import vertex_receivers
+from adjgi.adjoint_gi.core.scene.arrays import Camera
+from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.tests.solving import look, solve
+
+WHITE, PANEL = diffuse("White", 0.5), diffuse("Panel", 0.0, 3.0)
+INSIDE = look((0.4, 2, 1.3), (1, 0, 0))
+BESIDE = look((-6, 2, 1.3), (1, 0, 0))
+OPTIONS = {
+    "path_tracing": {"samples": 64},
+    "distribution": {"samples": 16},
+    "irradiance_cache": {"rays": 128},
+    "local_illumination": {"light_points": 64, "ambient": 0.0},
+    "particle_tracing": {"particles": 60_000, "score": "receivers"},
+    "progressive_radiosity": {"rays": 60_000},
+    "stochastic_jacobi": {"rays": 60_000, "max_edge": 0.7},
+    "matrix_radiosity": {"rays": 64, "max_edge": 0.7},
+    "two_pass": {"samples": 16, "rays": 64, "particles": 20_000},
+    "multi_pass": {"samples": 16, "max_edge": 1.0},
+    "spherical_harmonics": {"rays": 60_000},
+    "directional_radiosity": {"max_edge": 1.0},
+}
+
+
+def a_room(turned: bool, camera: Camera | None = INSIDE) -> World:
+    """A room with a panel below the ceiling and a box in it; `turned`: the normals of the wall at the left point out of it."""
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (4, 0, 0), (0, 4, 0), WHITE)
+    b.quad("Ceiling", (0, 0, 2.6), (0, 4, 0), (4, 0, 0), WHITE)
+    b.quad("Back", (0, 4, 0), (4, 0, 0), (0, 0, 2.6), WHITE)
+    b.quad("Front", (0, 0, 0), (0, 0, 2.6), (4, 0, 0), WHITE)
+    b.quad("Right", (4, 0, 0), (0, 0, 2.6), (0, 4, 0), WHITE)
+    edges = ((0, 4, 0), (0, 0, 2.6))
+    b.quad("Left", (0, 0, 0), *(edges[::-1] if turned else edges), WHITE)
+    b.quad("Panel", (1.5, 1.5, 2.2), (0, 1, 0), (1, 0, 0), PANEL)
+    b.camera = camera
+    return World(b.build())
+
+
+def left(world: World) -> int:
+    return [o.name for o in world.scene.objects].index("Left")
+
+
+def test_a_wall_that_is_seen_from_behind_is_turned_and_said():
+    right, wrong = a_room(False), a_room(True)
+    everything = range(len(right.scene.objects))
+    assert baked_sides(right, everything).facing is None
+    found = baked_sides(wrong, everything)
+    front = np.einsum("ij,ij->i", found.facing, wrong.rows[:, 9:12]) > 0
+    assert np.array_equal(~front, wrong.scene.object == left(wrong))
+    assert [(n.object, n.severity) for n in found.notices] == [("Left", "info")]
+    assert baked_sides(wrong, [0, 1, 2]).facing is None  # it is not baked
+    assert baked_sides(a_room(True, None), everything).facing is not None  # without a camera the inside of the scene counts
+
+
+def test_a_wall_that_is_seen_from_the_front_keeps_it_although_it_is_dark():
+    """A camera beside the room sees the dark front of the turned wall, and so does the bake."""
+    world = a_room(True, BESIDE)
+    found = baked_sides(world, [left(world)])
+    assert found.facing is None or (np.einsum("ij,ij->i", found.facing, world.rows[:, 9:12]) > 0).all()
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_every_method_bakes_the_side_that_is_seen(name):
+    """The wall has the same light whichever way its normals point."""
+    means = []
+    for turned in (False, True):
+        world = a_room(turned)
+        index = [left(world)]
+        receivers = vertex_receivers(world, index, "CORNER", 0.25, facing=baked_sides(world, index).facing).receivers
+        means.append(solve(name, world, receivers, **OPTIONS[name]).quantity("irradiance").mean())
+    assert means[0] > 0.05
+    assert means[1] == pytest.approx(means[0], rel=0.06)
