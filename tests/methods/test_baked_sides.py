@@ -58,7 +58,7 @@ def test_a_wall_that_is_seen_from_behind_is_turned_and_said():
     assert np.array_equal(~front, wrong.scene.object == left(wrong))
     assert [(n.object, n.severity) for n in found.notices] == [("Left", "info")]
     assert baked_sides(wrong, [0, 1, 2]).facing is None  # it is not baked
-    assert baked_sides(a_room(True, None), everything).facing is not None  # without a camera the inside of the scene counts
+    assert baked_sides(a_room(True, None), everything).facing is not None  # without a camera light decides
 
 
 def test_a_wall_that_is_seen_from_the_front_keeps_it_although_it_is_dark():

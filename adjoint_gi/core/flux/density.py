@@ -43,16 +43,12 @@ def seen(world: World, particles: int = PARTICLES) -> SeenObjects:
     objects = len(world.scene.objects)
     area = np.bincount(world.scene.object, world.area, objects) if world.triangle_count else np.zeros(objects)
     rng = np.random.default_rng(0)
-    found = [_arriving(world, start, rng) for start in views(world, particles, rng)]
-    found = [view / view.sum() for view in found if view.sum() > 0]
-    importance = np.mean(found, axis=0) if found else np.zeros(objects)
+    views = [
+        _arriving(world, start, rng) for start in (through_picture(world, particles, rng), _from_inside(world, particles, rng)) if start
+    ]
+    views = [view / view.sum() for view in views if view.sum() > 0]
+    importance = np.mean(views, axis=0) if views else np.zeros(objects)
     return SeenObjects(importance, area, weights(importance, area))
-
-
-def views(world: World, particles: int, rng: np.random.Generator) -> list[Particles]:
-    """`particles` particles of importance each from the camera, where there is one that can be used, and from inside the scene."""
-    found = _through_picture(world, particles, rng), _from_inside(world, particles, rng)
-    return [start for start in found if start is not None]
 
 
 def weights(importance: np.ndarray, area: np.ndarray) -> np.ndarray:
@@ -78,7 +74,7 @@ def _arriving(world: World, start: Particles, rng: np.random.Generator) -> np.nd
     return total
 
 
-def _through_picture(world: World, count: int, rng: np.random.Generator) -> Particles | None:
+def through_picture(world: World, count: int, rng: np.random.Generator) -> Particles | None:
     """`count` particles from the camera; None where there is none that can be used."""
     try:
         return CameraDetector(world).particles(count, rng)

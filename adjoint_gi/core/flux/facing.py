@@ -1,7 +1,7 @@
 """Which side of each face a bake shows: the front, or the back where that is the one that is seen, or else the one that is lit.
 
 Rooms are modelled with faces whose normals point away from the room, and a render shows their backs. What is seen is found by particles
-of importance from the camera and from inside the scene (the potential of a view, Eq. 2), what is lit by particles of the lights.
+of importance from the camera (the potential of its view, Eq. 2), what is lit by particles of the lights.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ..base.errors import Notice
 from ..lights.emission import Emission, Particles
 from ..scene.world import World
 from ..walks.particles import Hits, walk
-from .density import views
+from .density import through_picture
 
 PARTICLES = 16384  # of each kind
 LENGTH = 4  # segments a particle is followed
@@ -35,11 +35,9 @@ class BakedSides:
 def baked_sides(world: World, objects: Sequence[int]) -> BakedSides:
     """The sides of the triangles of `objects` (indices) to bake. The same every time."""
     rng = np.random.default_rng(0)
-    seen = sum((_arrivals(world, start, rng, True) for start in views(world, PARTICLES, rng)), np.zeros((2, world.triangle_count)))
-    emission = Emission(world)
-    lit = np.zeros((2, world.triangle_count))
-    if not emission.is_dark and world.triangle_count:
-        lit = _arrivals(world, emission.draw(PARTICLES, rng), rng, False)
+    emission, view = Emission(world), through_picture(world, PARTICLES, rng)
+    light = None if emission.is_dark or not world.triangle_count else emission.draw(PARTICLES, rng)
+    seen, lit = _arrivals(world, view, rng, True), _arrivals(world, light, rng, False)
     owner = world.scene.object
     # What is seen decides; where too little of it is known, what is lit.
     back, known = _by_back(world, seen)
@@ -51,8 +49,8 @@ def baked_sides(world: World, objects: Sequence[int]) -> BakedSides:
     return BakedSides(facing, tuple(_notices(world, back)))
 
 
-def _arrivals(world: World, start: Particles, rng: np.random.Generator, importance: bool) -> np.ndarray:
-    """(2, nt) float64 how many particles arrive at the fronts and at the backs of all triangles."""
+def _arrivals(world: World, start: Particles | None, rng: np.random.Generator, importance: bool) -> np.ndarray:
+    """(2, nt) float64 how many particles arrive at the fronts and at the backs of all triangles; none without a `start`."""
     sides = np.zeros((2, world.triangle_count))
 
     def visit(hits: Hits) -> None:
@@ -60,7 +58,8 @@ def _arrivals(world: World, start: Particles, rng: np.random.Generator, importan
         for k, of_side in enumerate((surface.side > 0, surface.side < 0)):
             sides[k] += np.bincount(surface.triangle[of_side], minlength=world.triangle_count)
 
-    walk(world, start, LENGTH, rng, visit, importance=importance)
+    if start is not None:
+        walk(world, start, LENGTH, rng, visit, importance=importance)
     return sides
 
 
@@ -84,7 +83,7 @@ def _notices(world: World, back: np.ndarray) -> list[Notice]:
     out = []
     for index in np.unique(owner[back]):
         share = world.area[back & (owner == index)].sum() / max(float(world.area[owner == index].sum()), 1e-300)
-        which = "all faces are" if share > 1 - 1e-6 else "some faces are"
-        reason = f"{which} seen from behind, so their backs are baked"
+        which = "all of its faces are" if share > 1 - 1e-6 else "some of its faces are"
+        reason = f"{which} seen or lit from the back only, so their backs are baked"
         out.append(Notice(world.scene.objects[index].name, reason, "", "info"))
     return out
