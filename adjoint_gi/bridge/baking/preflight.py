@@ -197,9 +197,9 @@ def _of_arrays(world: World, request: BakeRequest, receivers: list[int], sides: 
     notices = []
     if not emits(world):
         notices.append(Notice("Scene", "nothing emits light; the result is black", "Add a light, an emitting material or a world colour"))
-    sides = baked_sides(world, receivers).notices
-    turned = {n.object for n in sides}
-    notices += [*sides, *(n for n in openness.notices(world, set(receivers)) if n.object not in turned)]
+    behind = baked_sides(world, receivers).notices
+    turned = {n.object for n in behind}
+    notices += [*behind, *(n for n in openness.notices(world, set(receivers)) if n.object not in turned)]
     notices += world.shading.substitutions(request.solver.spec.lobes)
     return notices + estimates(world, request, receivers, sides)
 

@@ -139,7 +139,7 @@ def rasterize(
         receivers=receivers,
         pixel=pixel,
         covered=(chart_map >= 0).reshape(height, width),
-        share=np.where(many > 0, claims.many / np.float32(subsamples), np.float32(0)).reshape(height, width),
+        share=(many / np.float32(subsamples)).reshape(height, width),
         chart=chart_map.reshape(height, width),
         charts=charts,
         overlapping=counts["overlap"],
