@@ -86,7 +86,7 @@ def on_one_triangle(lightmap: Lightmap) -> np.ndarray:
     r = lightmap.receivers
     first = r.start[:-1]
     one = np.minimum.reduceat(r.triangle, first) == np.maximum.reduceat(r.triangle, first)
-    return (lightmap.image(one.astype(np.float32))[..., 0] > 0) & (lightmap.share == 1)
+    return lightmap.image((one & lightmap.whole).astype(np.float32))[..., 0] > 0
 
 
 def make_lightmap_uv(obj: bpy.types.Object, name: str = NAME, resolution: int = 512, padding: int = 4) -> str:

@@ -91,7 +91,7 @@ def comparable(world: World, lightmap: Lightmap) -> np.ndarray:
     """(n,) bool: texels whose points lie on one triangle; where these are fewer than FEW, on one plane."""
     receivers = lightmap.receivers
     first = receivers.start[:-1]
-    full = lightmap.share.reshape(-1)[lightmap.pixel] == 1
+    full = lightmap.whole
     one = full & (np.minimum.reduceat(receivers.triangle, first) == np.maximum.reduceat(receivers.triangle, first))
     if one.mean() >= FEW:
         return one

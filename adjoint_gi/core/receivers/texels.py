@@ -71,6 +71,12 @@ class Lightmap:
         """Columns of the image."""
         return self.covered.shape[1]
 
+    @property
+    def whole(self) -> np.ndarray:
+        """(n,) bool: receivers whose texels lie on surfaces with all their places, none of which is inside a body."""
+        many = np.diff(self.receivers.start)
+        return (self.share.reshape(-1)[self.pixel] == 1) & (many == many.max())
+
     def image(self, values: np.ndarray) -> np.ndarray:
         """(h, w, c) float32 image of one value for each receiver, `values` (n, c); 0 where no texel is covered."""
         values = np.asarray(values, np.float32).reshape(self.receivers.count, -1)
@@ -139,7 +145,7 @@ def rasterize(
         receivers=receivers,
         pixel=pixel,
         covered=(chart_map >= 0).reshape(height, width),
-        share=(many / np.float32(subsamples)).reshape(height, width),
+        share=np.where(many > 0, claims.many / np.float32(subsamples), np.float32(0)).reshape(height, width),
         chart=chart_map.reshape(height, width),
         charts=charts,
         overlapping=counts["overlap"],
