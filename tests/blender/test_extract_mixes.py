@@ -43,7 +43,9 @@ def albedo(arrays, degrees, n=100_000):
     angle = np.radians(degrees)
     up, wo = (np.tile(np.float32(w), (n, 1)) for w in ((0, 0, 1), (np.sin(angle), 0, np.cos(angle))))
     at = np.zeros(n, np.int32), np.full(n, 0.3, np.float32), np.full(n, 0.3, np.float32)
-    weight = bsdf.sample(bsdf.BsdfTable(arrays).at(*at, up, np.ones(n, np.float32), wo), np.random.default_rng(1)).weight.astype(float)
+    weight = bsdf.sample(
+        bsdf.BsdfTable(arrays, straight=True).at(*at, up, np.ones(n, np.float32), wo), np.random.default_rng(1)
+    ).weight.astype(float)
     return weight.mean(axis=0), weight.std(axis=0) / np.sqrt(n)
 
 
