@@ -218,7 +218,7 @@ def test_an_undo_and_redo_that_leave_the_scene_as_it_was_do_no_harm(held):
 def test_what_is_made_is_taken_back_where_the_bake_is_refused_later(scene, monkeypatch):
     before = layers()
 
-    def fail(*_):
+    def fail(*_, **__):
         raise TargetError("Second", "cannot be placed", "Do something")
 
     monkeypatch.setattr(textures, "rasterize", fail)
@@ -252,7 +252,7 @@ def test_all_that_needs_no_blender_runs_aside(scene, monkeypatch):
     threads = []
     for where, name in ((depsgraph, "place"), (baking, "World"), (preflight.openness, "notices"), (textures, "rasterize")):
         made = getattr(where, name)
-        monkeypatch.setattr(where, name, lambda *a, made=made: threads.append(threading.current_thread()) or made(*a))
+        monkeypatch.setattr(where, name, lambda *a, made=made, **k: threads.append(threading.current_thread()) or made(*a, **k))
     job = BAKES.start(bpy.context, request(values={"samples": 1}, resolution=8))
     until(lambda: not job.active)
     assert len(threads) == 2 + 2 + 1 + 2 and threading.main_thread() not in threads
