@@ -36,7 +36,8 @@ def working_space_notice(notices: Notices) -> None:
 def terminator_offset(obj: bpy.types.Object, which: str) -> float:
     """The "geometry" or "shading" offset of an object's Shading Terminator: Cycles' own settings up to Blender 4.5, the object's since."""
     names = [f"shadow_terminator_{which}_offset"] + ["shadow_terminator_offset"] * (which == "shading")
-    for owner in (obj, getattr(obj, "cycles", None)):
+    # Cycles' settings are looked at where there are any: to ask for others would make an empty group of them on the user's object.
+    for owner in (obj, obj.cycles if "cycles" in obj else None):
         for name in names:
             if hasattr(owner, name):
                 return float(getattr(owner, name))
