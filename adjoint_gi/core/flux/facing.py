@@ -8,20 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from ..base.errors import Notice
 from ..lights.emission import Emission, Particles
 from ..scene.world import World
-from ..walks.particles import Hits, walk
+from ..walks.openness import DARK, ENOUGH, MIN_ARRIVALS, count_sides
+from ..walks.particles import walk
 from .density import through_picture
 
 PARTICLES = 16384  # of each kind
 LENGTH = 4  # segments a particle is followed
-ENOUGH = 8  # arrivals at a triangle from which on they tell its side: of a sheet met from both sides all of 8 are at one by chance 1 in 128
-ENOUGH_OF_OBJECT = 50  # the same of an object, for its triangles that have fewer
-BACK = 0.9  # share of the arrivals at the back from which on it is the side that is baked
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +33,8 @@ class BakedSides:
 
 def baked_sides(world: World, objects: Sequence[int]) -> BakedSides:
     """The sides of the triangles of `objects` (indices) to bake. The same every time."""
+    if not len(objects):  # a picture bakes no side
+        return BakedSides(None, ())
     rng = np.random.default_rng(0)
     emission, view = Emission(world), through_picture(world, PARTICLES, rng)
     light = None if emission.is_dark or not world.triangle_count else emission.draw(PARTICLES, rng)
@@ -50,16 +51,10 @@ def baked_sides(world: World, objects: Sequence[int]) -> BakedSides:
 
 
 def _arrivals(world: World, start: Particles | None, rng: np.random.Generator, importance: bool) -> np.ndarray:
-    """(2, nt) float64 how many particles arrive at the fronts and at the backs of all triangles; none without a `start`."""
-    sides = np.zeros((2, world.triangle_count))
-
-    def visit(hits: Hits) -> None:
-        surface = hits.surface
-        for k, of_side in enumerate((surface.side > 0, surface.side < 0)):
-            sides[k] += np.bincount(surface.triangle[of_side], minlength=world.triangle_count)
-
+    """(2, nt) int64 how many particles arrive at the fronts and at the backs of all triangles; none without a `start`."""
+    sides = np.zeros((2, world.triangle_count), np.int64)
     if start is not None:
-        walk(world, start, LENGTH, rng, visit, importance=importance)
+        walk(world, start, LENGTH, rng, partial(count_sides, sides), importance=importance)
     return sides
 
 
@@ -72,8 +67,8 @@ def _by_back(world: World, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     total = sides.sum(axis=0)
     of_object, back_of_object = (np.bincount(owner, counts, objects)[owner] for counts in (total, sides[1]))
     own = total >= ENOUGH
-    known = own | (of_object >= ENOUGH_OF_OBJECT)
-    back = np.where(own, sides[1] >= BACK * total, back_of_object >= BACK * of_object)
+    known = own | (of_object >= MIN_ARRIVALS)
+    back = np.where(own, sides[1] >= DARK * total, back_of_object >= DARK * of_object)
     return back & known, known
 
 

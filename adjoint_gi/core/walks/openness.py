@@ -49,15 +49,20 @@ def measure(world: World, particles: int = PARTICLES) -> Openness:
     met = np.zeros(particles, bool)
 
     def visit(hits: Hits) -> None:
-        surface = hits.surface
         met[hits.row] = True
-        for k, of_side in enumerate((surface.side > 0, surface.side < 0)):
-            sides[k] += np.bincount(surface.triangle[of_side], minlength=world.triangle_count)
+        count_sides(sides, hits)
 
     ends = walk(world, emission.draw(particles, rng), LENGTH, rng, visit)
     count = int(np.count_nonzero(met))
     left = ends.escaped - (ends.emitted - count)
     return Openness(left / max(1, count), *_lost(world, sides))
+
+
+def count_sides(sides: np.ndarray, hits: Hits) -> None:
+    """Add `hits` to `sides` (2, nt) int64, the arrivals at the front and at the back of each triangle."""
+    surface = hits.surface
+    for k, of_side in enumerate((surface.side > 0, surface.side < 0)):
+        sides[k] += np.bincount(surface.triangle[of_side], minlength=sides.shape[1])
 
 
 def _lost(world: World, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
