@@ -138,16 +138,16 @@ def _grey(node: bpy.types.Node, n: dict[str, float]) -> Mapping:
 
 
 def _ramp(node: bpy.types.Node, n: dict[str, float]) -> Mapping:
-    # A table of 256 entries with linear interpolation is what Cycles samples too; constant steps are looked up as they are.
-    table = np.array([node.color_ramp.evaluate(i / 255.0)[:3] for i in range(256)], np.float32)
+    # Cycles' table: 256 intervals with linear interpolation; of constant steps, each interval has the colour of its beginning.
+    table = np.array([node.color_ramp.evaluate(i / 256.0)[:3] for i in range(257)], np.float32)
     step = node.color_ramp.interpolation == "CONSTANT"
 
     def look_up(c: np.ndarray) -> np.ndarray:
-        x = np.clip(c[:, 0], 0.0, 1.0) * 255.0
-        low = np.minimum(x.astype(np.int64), 255)
+        x = np.clip(c[:, 0], 0.0, 1.0) * 256.0
+        low = np.minimum(x.astype(np.int64), 256)
         if step:
             return table[low]
-        high = np.minimum(low + 1, 255)
+        high = np.minimum(low + 1, 256)
         f = (x - low)[:, None]
         return (table[low] * (1.0 - f) + table[high] * f).astype(np.float32)
 
@@ -158,15 +158,27 @@ def _curve(node: bpy.types.Node, n: dict[str, float]) -> Mapping:
     factor = n.get("Fac", n.get("Factor", 1.0))
     mapping = node.mapping
     mapping.initialize()
-    x = np.linspace(0.0, 1.0, 257)
+    # Cycles' table: 256 intervals between the outermost points of all curves, and beyond them the line through the last two entries.
+    points = [p.location[0] for curve in mapping.curves for p in curve.points]
+    x = np.linspace(min(points), max(points), 257)
     combined = np.array([mapping.evaluate(mapping.curves[3], float(t)) for t in x])
     tables = [np.array([mapping.evaluate(mapping.curves[i], float(t)) for t in combined]) for i in range(3)]
+    extend = mapping.extend == "EXTRAPOLATED"
 
     def look_up(c: np.ndarray) -> np.ndarray:
-        out = np.stack([np.interp(c[:, i], x, tables[i]) for i in range(3)], axis=1)
+        out = np.stack([_interpolated(c[:, i], x, tables[i], extend) for i in range(3)], axis=1)
         return (c * (1.0 - factor) + out * factor).astype(np.float32)
 
     return look_up
+
+
+def _interpolated(at: np.ndarray, x: np.ndarray, table: np.ndarray, extend: bool) -> np.ndarray:
+    """A table over even places x, between them linear; beyond its ends the end's value, or its slope goes on."""
+    inside = np.interp(at, x, table)
+    step = x[1] - x[0]
+    if not extend or step == 0:
+        return inside
+    return inside + np.minimum(at - x[0], 0) / step * (table[1] - table[0]) + np.maximum(at - x[-1], 0) / step * (table[-1] - table[-2])
 
 
 def _clamp(node: bpy.types.Node, n: dict[str, float]) -> Mapping:
