@@ -90,6 +90,31 @@ def test_perfectly_white_walls_end():
     check(s.quantity("irradiance"), [20.0] * 3)
 
 
+def test_paths_that_are_lost_in_closed_white_bodies_end():
+    """No light is there, no albedo ends them: 4,096 segments of each otherwise, for nothing."""
+    b = SceneBuilder()
+    b.box("Body", (0, 0, 0), (1, 1, 1), diffuse("White", 1.0), inward=True)
+    b.box("Lantern", (4, 4, 4), (5, 5, 5), diffuse("Grey", 0.5, 1.0), inward=True)
+    world = World(b.build())
+    s = solve(world, scattered(world, 100), samples=16)
+    dark = s.emitted[:, 0] == 0
+    assert dark.sum() > 30 and not s.quantity("irradiance")[dark].any()
+    assert s.rays < 2 * 100 * 100 * 16  # each vertex casts two
+
+
+def test_light_that_paths_find_late_is_not_lost():
+    """A sphere with a small bright cap, which only rays meet: after a hundred dark vertices as after one, H = mean(E) / (1 - rho)."""
+    vertices, triangles = scenes.icosphere(3)
+    triangles = triangles[:, ::-1]
+    bright = vertices[triangles].mean(axis=1)[:, 2] > 0.97
+    b = SceneBuilder()
+    b.mesh("Sphere", vertices, triangles, [diffuse("Wall", 0.97), diffuse("Cap", 0.97, 1 / PI)], which=bright.astype(int))
+    world = World(b.build())
+    share = world.area[bright].sum() / world.area.sum()
+    s = solve(world, scattered(world, 1000), samples=16, light_importance=False)
+    check(s.quantity("irradiance"), [share / 0.03] * 3, bias=0.003, resolution=0.03)
+
+
 # ---- exact solutions that are not uniform
 
 

@@ -51,7 +51,7 @@ class View:
                 break
             delta, before = paths.ray.delta, paths.carried
             spread = before["spread"] | (paths.ray.kind == RayKind.DIFFUSE)
-            paths.carried = {"hops": before["hops"] - ~delta, "mirrored": before["mirrored"] & delta, "spread": spread}
+            paths.carried = before | {"hops": before["hops"] - ~delta, "mirrored": before["mirrored"] & delta, "spread": spread}
             # Step 3: the emission it meets, and the surface.
             paths.emission_met(None if self.unmet is None else ~spread)
             paths.arrive()

@@ -27,6 +27,8 @@ from ..scene.world import World
 from .path_limit import FAINT, block_of, longest
 
 NEVER = 1 << 30  # as `Walk.roulette_from`: no path is as long, so roulette is off
+LATE = 8  # segments from which vertices without light are counted
+DARK = 32  # vertices without light in a row after which a path is taken for a lost one
 
 
 def by_weight(strength: np.ndarray) -> np.ndarray:
@@ -37,6 +39,17 @@ def by_weight(strength: np.ndarray) -> np.ndarray:
 def by_root(strength: np.ndarray) -> np.ndarray:
     """(n,) chance to go on that lets weak paths live longer: less noise for cheap vertices."""
     return np.minimum(np.sqrt(strength), ONE)
+
+
+def in_the_dark(dark: np.ndarray, most: np.ndarray) -> np.ndarray:
+    """(n,) float32 chance to go on of paths that have found no light at the last `dark` (n,) vertices, after `most` (n,) at their worst.
+
+    Between white walls of closed bodies nothing else ends paths. Of those that find no light at s vertices in a row (DARK / s)^4 go on,
+    with weights that grow as the inverse. Only a longest row so far costs anything, so a weight never grows by more than that power of
+    the length: the estimate has a finite variance wherever light falls with length geometrically.
+    """
+    row = np.maximum(dark, 1).astype(np.float32)
+    return np.where((dark > DARK) & (dark > most), ((row - 1) / row) ** 4, ONE)
 
 
 def russian_roulette(
@@ -276,13 +289,25 @@ class Paths:
             survive = np.flatnonzero(strength > walk.faintest)
             weight = weight.take(survive, axis=1)
         else:
-            survive, chance = russian_roulette(strength, luck, walk.survival)
+            survive, chance = russian_roulette(strength, luck, self._survival(rows))
             weight = weight.take(survive, axis=1) / chance
         rows = rows.take(survive)
         self._keep(rows)
         self.weight = weight
         self.vertices = self.vertices.arrive(self.ray, hit, rows, self.row, self.rng)
         self.length += 1
+
+    def _survival(self, rows: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """The chance to go on of paths `rows` (m,) for their strengths, and for the time that they have found no light."""
+        if self.length < LATE:
+            return self.walk.survival
+        if "dark" not in self.carried:
+            self.carried |= {name: np.zeros(len(self.row), np.int32) for name in ("dark", "darkest")}
+        dark, most = self.carried["dark"], self.carried["darkest"]
+        dark += 1
+        chance = in_the_dark(dark.take(rows), most.take(rows))
+        np.maximum(most, dark, out=most)
+        return lambda strength: np.minimum(self.walk.survival(strength), chance)
 
     def step(self) -> bool:
         """Take all steps at the vertices where the paths are; False at the end."""
@@ -308,6 +333,8 @@ class Paths:
         if scale is not None:
             value *= scale
         add(self.indirect if indirect or self.length > 1 else self.direct, self.row.take(rows), value)
+        if "dark" in self.carried:
+            self.carried["dark"][rows[value.max(axis=0) > 0]] = -1  # of which the next vertex makes 0
         block = self.walk.block(self.length)
         if block is not None:
             self._note(block, self.row.take(rows), value.sum(axis=0))
