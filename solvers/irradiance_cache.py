@@ -196,7 +196,8 @@ class CacheRun:
         if s.gradients:
             # Nothing may be extrapolated to below zero within its reach.
             slope = np.sqrt((translation.sum(axis=1) ** 2).sum(axis=1))
-            radius = np.minimum(radius, irradiance.sum(axis=1) / np.maximum(slope, np.float32(1e-20)))
+            within = irradiance.sum(axis=1) / np.maximum(slope, np.float32(1e-20))
+            radius = np.where(slope > 0, np.minimum(radius, within), radius)  # where all is dark, nothing falls
         bound = radius
         radius = np.clip(radius, s.min_spacing * size / s.accuracy, 2 * size).astype(np.float32)
         # Where the least spacing makes records reach further than that, they are extrapolated less.

@@ -3,16 +3,21 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.bridge.baking.report import of_solution
+from adjgi.adjoint_gi.bridge.baking.sides import planned
+from adjgi.adjoint_gi.bridge.comparison import cycles_reference
+from adjgi.adjoint_gi.bridge.comparison.records import request_of
 from adjgi.adjoint_gi.bridge.comparison.request import SHOWN, Compare, CompareRequest, ReferenceChoice
 from adjgi.adjoint_gi.bridge.engine.passes import FAR, Geometry, pixels
 from adjgi.adjoint_gi.bridge.props import records
-from adjgi.adjoint_gi.core.comparison.budget import Budget
+from adjgi.adjoint_gi.core.comparison import figures
+from adjgi.adjoint_gi.core.comparison.budget import Budget, Reference
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.method.solution import EnergyBalance, Solution
@@ -84,3 +89,55 @@ def test_lightmaps_stand_in_reading_order():
     picture = Compare.picture(compare, np.array([1.0, 2.0, 3.0]))[..., 0]
     assert len(picture) >= SHOWN
     assert (picture[-1, 0], picture[-1, -1], picture[0, 0], picture[0, -1]) == (1, 2, 3, 0)
+
+
+def test_the_noise_of_a_cycles_bake_is_half_of_what_its_halves_differ_by(monkeypatch):
+    halves = iter((1.2, 0.8))
+    image = SimpleNamespace(pixel=np.arange(4))
+    sheet = SimpleNamespace(part=slice(0, 4), lightmap=image, uids=(), name="Sheet")
+    monkeypatch.setattr(cycles_reference, "_cycles", lambda *_: nullcontext())
+    monkeypatch.setattr(cycles_reference, "find_objects", lambda *_: [None])
+    monkeypatch.setattr(cycles_reference, "_problem", lambda _: "")
+    monkeypatch.setattr(cycles_reference, "comparable", lambda *_: np.array([True, True, True, False]))
+    monkeypatch.setattr(cycles_reference, "_bake", lambda *_: np.full((2, 2, 3), next(halves)))
+    found = cycles_reference.bake_reference(SimpleNamespace(scene=None), None, [sheet], 4, 16, 5)
+    assert found.noise == pytest.approx(0.2) and found.values == pytest.approx(np.ones((4, 3))) and found.valid.sum() == 3
+
+
+@pytest.mark.parametrize(("atlas", "expected"), [(False, [100, 200]), (True, [224])])
+def test_planned_sizes_follow_the_texels_a_metre_times_the_factor(registered, atlas, expected):
+    """A share of 0.6 of an image is thought to be filled: 0.6 m2 at 100 texels a metre are 100 texels a side."""
+    for name, factor in (("Plain", 1.0), ("Twice", 2.0)):
+        obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+        bpy.context.scene.collection.objects.link(obj)
+        obj.adjoint_gi_density = factor
+    uids = [bpy.data.objects[name].session_uid for name in ("Plain", "Twice")]
+    parts = [SimpleNamespace(uid=uid, triangles=slice(k, k + 1)) for k, uid in enumerate(uids)]
+    world = SimpleNamespace(scene=SimpleNamespace(objects=parts), area=np.array([0.6, 0.6]))
+    request = SimpleNamespace(texels_per_metre=100.0, resolution=1024, atlas=atlas)
+    assert planned(world, [0, 1], request).tolist() == expected
+
+
+def test_pictures_of_a_comparison_have_their_scales_from_the_errors(monkeypatch):
+    """Irradiance 3 where 2 is right: an error of half the mean; curves and the noise are in percent."""
+    drawn = {}
+    for name in ("differences", "plot", "histogram"):
+        monkeypatch.setattr(figures, name, lambda *values, name=name, **named: drawn.update({name: (values, named)}))
+    entry = SimpleNamespace(label="One", solution=solution(), curve=[SimpleNamespace(seconds=2.0, error=0.25)])
+    reference = Reference("Known", np.full((4, 3), 2.0), np.array([True, False, True, False]), 0.01)
+    sheet = SimpleNamespace(part=slice(0, 4), lightmap=SimpleNamespace(image=lambda v: np.asarray(v, np.float32).reshape(2, 2, -1)))
+    compare = SimpleNamespace(request=SimpleNamespace(receivers="texture"), sheets=[sheet])
+    compare.picture = lambda values: Compare.picture(compare, values)
+    Compare.pictures(compare, SimpleNamespace(entries=[entry], reference=reference))
+    assert drawn["differences"][0][4:] == (0.5 * 2, 2.0)
+    (curves, *_), named = drawn["plot"]
+    assert curves[0].points.tolist() == [[2.0, 25.0]] and named["floor"] == pytest.approx(1.0)
+    errors, _, limit = drawn["histogram"][0]
+    assert errors[0] == pytest.approx(np.full(6, 0.5)) and limit == 2 * 0.5
+
+
+def test_a_budget_of_rays_is_in_millions(registered):
+    state = bpy.context.scene.adjoint_gi_compare
+    state.budget, state.mega_rays = "rays", 2.0
+    asked = request_of(bpy.context.scene, bpy.context.view_layer).budget
+    assert (asked.kind, asked.value) == ("rays", 2e6)

@@ -137,3 +137,11 @@ def test_exposure_looks_at_the_brightest_colour():
     x = np.full((10, 10, 3), 2.0)
     x[0, 0] = 1000.0
     assert figures.exposure_for(x) == pytest.approx(0.45)
+
+
+def test_the_scale_of_differences_is_labelled_in_shares_of_the_mean(monkeypatch):
+    written = []
+    monkeypatch.setattr(Canvas, "text", lambda self, x, y, text, *rest: written.append((x, text)))
+    grey = np.ones((8, 8, 3), np.float32)
+    figures.differences([grey], grey, np.ones((8, 8), bool), ["x"], 0.2, 4.0)
+    assert [text for _, text in sorted(written)[-3:]] == ["-5%", "0", "+5%"]

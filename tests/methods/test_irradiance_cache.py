@@ -5,12 +5,17 @@ from functools import partial
 
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.core.base.settings import NO_LIMIT
+from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.sampling.maps import frame_rows
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.irradiance_records import RecordIndex, Records, gradients, hemisphere
+from adjgi.adjoint_gi.core.walks.paths import Walk
+from adjgi.solvers.irradiance_cache import CacheRun
 from adjgi.tests import scenes, solving
 from adjgi.tests.solving import grid, quad_points
 
@@ -216,3 +221,44 @@ def test_the_seed_reaches_direct_light_and_the_error_that_is_stated_is_that_of_r
     true = np.sqrt(total.var(axis=0, ddof=1).mean()) / total.mean()
     stated = np.sqrt(np.mean([r.history[-1][1] ** 2 for r in runs]))
     assert stated == pytest.approx(true, rel=0.3)
+
+
+def cache(world, **options):
+    """A cache that is empty, of rays over 4 x 4 cells."""
+    solver = method("irradiance_cache")
+    settings = solver.Settings(rays=16, **options)
+    return CacheRun(world, settings, Walk(world, Emitters(world), BsdfTable(world.scene), 0, NO_LIMIT), [1])
+
+
+@pytest.mark.parametrize(("distance", "radius"), [(1e-4, 0.01 / 0.2), (0.3, 0.3), (50.0, 2.0)], ids=["corner", "room", "open"])
+def test_records_reach_as_far_as_what_they_see_within_bounds(monkeypatch, distance, radius):
+    """No less than the least spacing over the accuracy, by which their reach is multiplied, no farther than the scene."""
+    world = World(scenes.cube())
+    state = cache(world, accuracy=0.2, min_spacing=0.01)
+    flat = np.ones((1, state.rows, state.cols, 3), np.float32)
+    monkeypatch.setattr(state, "_look", lambda *_: (flat, np.full(flat.shape[:3], distance * world.extent), 16, np.zeros(2)))
+    records = state._make(world.surface(*(np.zeros(1, t) for t in (int, np.float32, np.float32))), np.random.default_rng(0))[0]
+    assert records.radius[0] == pytest.approx(radius * world.extent) and records.irradiance[0, 0] == pytest.approx(np.pi)
+
+
+@pytest.mark.parametrize("distance", [1e-4, 0.3])
+def test_nothing_is_extrapolated_to_below_zero_within_its_reach(monkeypatch, distance):
+    world, n = World(scenes.cube()), 40
+    state, rng = cache(world, accuracy=0.2, min_spacing=0.05), np.random.default_rng(2)
+    radiance = (rng.random((n, state.rows, state.cols, 1)) ** 8).astype(np.float32) * np.ones(3, np.float32)
+    monkeypatch.setattr(state, "_look", lambda *_: (radiance, np.full(radiance.shape[:3], distance), 16, np.zeros(2)))
+    records = state._make(world.surface(*(np.zeros(n, t) for t in (int, np.float32, np.float32))), rng)[0]
+    fall = np.linalg.norm(records.translation.sum(axis=1), axis=1) * records.radius
+    assert (fall <= 1.001 * records.irradiance.sum(axis=1)).all() and fall.max() > 0
+
+
+def test_rays_that_meet_nothing_see_far():
+    b = SceneBuilder()
+    b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), diffuse("Floor", 0.5))
+    world = World(b.build())
+    state = cache(world)
+    surface = world.surface(*(np.zeros(1, t) for t in (int, np.float32, np.float32)))
+    records = state._make(surface, np.random.default_rng(0))[0]
+    assert records.radius[0] == pytest.approx(2 * world.extent)
+    local, _ = hemisphere(state.rows, state.cols, np.random.default_rng(0), 1)
+    assert (state._look(surface, local, *frame_rows(surface.ns), np.random.default_rng(0))[1] == 4 * world.extent).all()

@@ -10,6 +10,7 @@ import pytest
 from adjgi.adjoint_gi.core.base.errors import SceneError
 from adjgi.adjoint_gi.core.base.settings import NO_LIMIT
 from adjgi.adjoint_gi.core.bsdf import table as bsdf
+from adjgi.adjoint_gi.core.elements.answer import Parts
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
@@ -19,6 +20,8 @@ from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks import radiance
+from adjgi.adjoint_gi.core.walks.gathering import Run
+from adjgi.solvers.multi_pass import MultiPassRun
 from adjgi.tests import scenes, solving
 
 steps = partial(solving.steps, "multi_pass")
@@ -214,3 +217,19 @@ def test_dark_and_empty_scenes():
     assert not s.quantity("radiosity").any()
     assert any("nothing emits light" in str(w) for w in s.warnings)
     assert solve(ElementReceivers(Elements(World(SceneBuilder().build()), 1.0)), samples=2).direct.shape == (0, 3)
+
+
+def test_partial_results_pass_from_the_first_answer_to_the_second():
+    """The first answer is worth four samples at the start, and none when all of the second pass have come in."""
+    world, settings = World(scenes.cube()), method("multi_pass").Settings(samples=8)
+    receivers = ElementReceivers(Elements(world, 50.0))
+    run = Run(method("multi_pass").spec, world, receivers, settings, emitters := Emitters(world))
+    passes = MultiPassRun(run, receivers.elements, emitters)
+    one, zero = np.ones((receivers.count, 3), np.float32), np.zeros((receivers.count, 3), np.float32)
+    passes.parts = Parts(one, one, one, one, one[:, 0])
+    second = dataclasses.replace(run.solution(), emitted=zero, direct=zero, indirect=zero, partial=True)
+    shares = []
+    for count in (0, 2, 4, 8):
+        run.film.count[:] = count
+        shares.append(float(passes.joined(second).direct[0, 0]))
+    assert shares == pytest.approx([1, 3 / 5, 2 / 6, 0])

@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.core.flux.tally import Tally
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights.emission import Emission
 from adjgi.adjoint_gi.core.method.registry import method
@@ -15,6 +16,7 @@ from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceive
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.particles import walk
+from adjgi.solvers.particle_tracing import empty_notices
 from adjgi.tests import scenes
 from adjgi.tests.particles import Z, agrees, by_material, front, on_elements, replicates, solve
 
@@ -355,3 +357,12 @@ def test_memory_is_told_before_and_grows_with_elements():
     assert 0 < coarse < fine
     assert fine > 4e6 * 400
     assert solver.memory(world, receivers, solver.Settings()) > 0
+
+
+@pytest.mark.parametrize(("lit", "said"), [(6, False), (4, True)])
+def test_receivers_that_count_nothing_are_said_from_half_of_them_on(lit, said):
+    tally = Tally(10, 1)
+    tally.count = 100
+    tally.direct[: lit // 2], tally.indirect[lit // 2 : lit] = 1.0, 1.0
+    found = empty_notices("Particles", tally)
+    assert bool(found) == said and all("60% of the receivers" in n.reason for n in found)
