@@ -73,6 +73,8 @@ def spoilt(share, factor, seed=2):
 
 SMALL = sheet(12)
 FAN = np.concatenate([[[0, 0, 0], [0, 0, 1]], np.stack([np.cos(np.arange(50)), np.sin(np.arange(50)), np.zeros(50)], 1)])
+# Quads whose sides cross, as bevels make them where they are wider than the faces: their two triangles lie over one another.
+CROSSED = [[0, 0, 0], [2, 0.1, 0.0], [0.05, 0.5, 0.1], [1.9, -0.4, -0.1], [0, 0, 1], [2, 0, 1], [0, 1, 1], [1, -1, 1]]
 HOSTILE = {
     "one triangle": ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]),
     "far away": (np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]]) + 1e6, [[0, 1, 2]]),
@@ -92,6 +94,7 @@ HOSTILE = {
     "points on a lattice": (np.round(np.random.default_rng(4).random((200, 3)) * 3), soup(400, 200)[1]),
     "ribbon": (SMALL[0] * [1, 1e-8, 1], SMALL[1]),
     "graded": (SMALL[0] ** 8, SMALL[1]),
+    "crossed quads": (CROSSED, [[0, 1, 2], [1, 3, 2], [4, 5, 6], [5, 7, 6]], [0, 0, 1, 1]),
     "faces in pieces": (*soup(120, 40), np.random.default_rng(6).integers(0, 40, 120)),
 }
 
@@ -214,11 +217,25 @@ def test_affine_maps_carry_points():
     assert np.allclose(carry(corner, flat, np.array([[[2, 3, 0], [1, 0, 0]]], float)), [[[0, 2], [1, 1.5]]])
 
 
-def test_cut_charts_fall_into_pieces_and_then_into_faces():
+def test_cut_charts_fall_into_pieces_and_then_into_faces_which_are_opened():
     m = mesh(*sheet(2))
     whole = Charts(m.corners()[..., :2], np.zeros(8, np.int64))
     assert cut_off(m, whole, np.zeros(0, int)).count == 1
     assert cut_off(m, whole, np.array([0])).count == 4  # one piece already, so its four faces
+    faces = Charts(whole.xy, m.polygon)
+    opened = cut_off(m, faces, np.array([0]))
+    assert opened.count == 4 and np.ptp(np.linalg.norm(opened.xy[0] - opened.xy[m.polygon == 0].mean(axis=(0, 1)), axis=1)) < 0.1
+
+
+def test_corners_of_a_crossed_face_have_one_place_each():
+    """Blender keeps one UV for each corner of a face: its triangles cannot be parted, so crossed ones are laid out as convex ones."""
+    m = mesh(*HOSTILE["crossed quads"])
+    (uv,) = unwrap([m], 256, (2,)).uvs
+    for k in (0, 2):
+        assert np.array_equal(uv[k, 1], uv[k + 1, 0]) and np.array_equal(uv[k, 2], uv[k + 1, 2])
+
+
+def test_a_box_as_one_chart_falls_into_its_faces():
     two = box()
     assert cut_off(two, Charts(np.zeros((12, 3, 2)), np.zeros(12, np.int64)), np.array([3])).count == 6
 

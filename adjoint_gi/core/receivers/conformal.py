@@ -15,7 +15,7 @@ import xatlas
 
 from ..base.steps import Steps, finish, within
 from .charts import Charts, Mesh, area_vectors, carry, islands, mean_normal, numbered, signed_areas, smooth_regions
-from .projection import FLAT, pieces, project, tightest, worst_cosine
+from .projection import FLAT, opened, pieces, project, tightest, worst_cosine
 
 NONE = np.uint32(0xFFFFFFFF)  # the chart of what xatlas left out
 MAX_REGION_TRIANGLES = 5000  # triangles of a region that xatlas is given: its time grows with the square, 0.4 s here
@@ -44,26 +44,28 @@ def making_charts(mesh: Mesh) -> Steps[Charts]:
     xy, chart = _whole_polygons(mesh, xy, chart)
     missing = ~np.isfinite(xy).all(axis=(1, 2))
     charts = _measured(mesh, Charts(np.where(missing[:, None, None], 0.0, xy), numbered(np.where(missing, -1, chart))))
-    charts = _relaid(mesh, charts, missing, pieces)
+    charts = _relaid(mesh, charts, missing, lambda part: project(part, pieces(part)))
     return cut_off(mesh, charts, np.flatnonzero(_bent(mesh, charts)))
 
 
 def cut_off(mesh: Mesh, charts: Charts, triangles: np.ndarray) -> Charts:
     """The charts with those that hold `triangles` replaced by projections: of pieces, or of polygons where these were pieces already.
 
-    What does not hang together is a chart of its own.
+    A polygon that is a chart of its own is crossed or folded: it is laid out as a convex one. What does not hang together is a chart of
+    its own.
     """
     bad = np.isin(charts.chart, charts.chart[triangles])
-    charts = _relaid(mesh, charts, bad, lambda part: _finer(part, numbered(charts.chart[bad])))
+    single = bad & ~_several(numbered(mesh.polygon), charts.chart)[charts.chart]
+    charts = _relaid(mesh, charts, single, opened)
+    charts = _relaid(mesh, charts, bad & ~single, lambda part: project(part, _finer(part, numbered(charts.chart[bad & ~single]))))
     return Charts(charts.xy, islands(mesh, charts.xy, charts.chart))
 
 
-def _relaid(mesh: Mesh, charts: Charts, which: np.ndarray, label: Callable[[Mesh], np.ndarray]) -> Charts:
-    """The charts with the triangles `which` (nt,) bool laid flat by projection, cut as `label` does."""
+def _relaid(mesh: Mesh, charts: Charts, which: np.ndarray, lay: Callable[[Mesh], Charts]) -> Charts:
+    """The charts with the triangles `which` (nt,) bool laid flat by `lay`."""
     if not which.any():
         return charts
-    part = mesh.part(which)
-    flat = project(part, label(part))
+    flat = lay(mesh.part(which))
     xy, chart = charts.xy.copy(), charts.chart.copy()
     xy[which], chart[which] = flat.xy, charts.count + flat.chart
     return Charts(xy, numbered(chart))
@@ -73,12 +75,16 @@ def _finer(mesh: Mesh, chart: np.ndarray) -> np.ndarray:
     """(nt,) labels that cut every `chart` (nt,) of 0, 1, ...: into our own pieces where there are several, else into polygons."""
     piece, polygon = numbered(pieces(mesh)), numbered(mesh.polygon)
     both = numbered(piece * (int(chart.max()) + 1) + chart)
-    # A chart is one piece when none of its triangles has another piece than one of them.
-    one = np.zeros(int(chart.max()) + 1, np.int64)
-    one[chart] = piece
+    return np.where(_several(piece, chart)[chart], both, both.max() + 1 + polygon)
+
+
+def _several(label: np.ndarray, chart: np.ndarray) -> np.ndarray:
+    """(charts,) bool: charts whose triangles have more than one `label` (nt,)."""
+    one = np.zeros(int(chart.max(initial=-1)) + 1, np.int64)
+    one[chart] = label
     several = np.zeros(len(one), bool)
-    several[chart[piece != one[chart]]] = True
-    return np.where(several[chart], both, both.max() + 1 + polygon)
+    several[chart[label != one[chart]]] = True
+    return several
 
 
 def _flat(mesh: Mesh, region: np.ndarray) -> np.ndarray:

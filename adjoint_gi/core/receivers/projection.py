@@ -13,6 +13,7 @@ from .charts import CREASE, Charts, Mesh, area_vectors, joined, mean_normal, num
 
 FLAT = np.cos(np.radians(3))  # how far faces of one flat piece may turn from its mean
 STEEP = 0.5  # cosine: a face that turns further from the direction of projection is projected along the main axis instead
+LEAST_STEP = 1e-3  # share of its border that a side of a polygon has at least when it is opened
 ANGLES = 24  # directions in which the tightest rectangle around a chart is sought
 
 
@@ -44,6 +45,36 @@ def project(mesh: Mesh, label: np.ndarray) -> Charts:
     x, y = _plane(_direction(mesh, chart))
     xy = np.stack([np.einsum("tij,tj->ti", corner, x[chart]), np.einsum("tij,tj->ti", corner, y[chart])], axis=2)
     return tightest(Charts(xy, chart))
+
+
+def opened(mesh: Mesh) -> Charts:
+    """One chart for each polygon, its corners on a circle, as far apart as along its border: triangles of crossed or folded ones, which lie
+    over one another in any projection, lie side by side. As corners have one place each, triangles cannot be parted.
+
+    A polygon whose border is not one ring is projected.
+    """
+    flat = project(mesh, mesh.polygon)
+    xy = flat.xy.copy()
+    for own in np.split(np.argsort(flat.chart, kind="stable"), np.cumsum(np.bincount(flat.chart))[:-1]):
+        ring = _ring(mesh.triangles[own])
+        if ring is not None:
+            step = np.linalg.norm(mesh.vertices[np.roll(ring, -1)] - mesh.vertices[ring], axis=1)
+            arc = np.cumsum(np.maximum(step, LEAST_STEP * step.sum()))
+            angle = dict(zip(ring.tolist(), 2 * np.pi * arc / arc[-1], strict=True))
+            turn = np.array([angle[k] for k in mesh.triangles[own].ravel().tolist()]).reshape(-1, 3)
+            xy[own] = arc[-1] / (2 * np.pi) * np.stack([np.cos(turn), np.sin(turn)], axis=2)
+    return tightest(Charts(xy, flat.chart))
+
+
+def _ring(triangles: np.ndarray) -> np.ndarray | None:
+    """(n,) int64 vertices along the border of `triangles` (nt, 3); None where it is not one ring that meets every vertex once."""
+    edges = {(a, b) for t in triangles.tolist() for a, b in zip(t, t[1:] + t[:1], strict=True)}
+    border = [(a, b) for a, b in edges if (b, a) not in edges]
+    after, ring = dict(border), [min(border)[0]] if border else []
+    while ring and after.get(ring[-1], ring[0]) != ring[0] and len(ring) <= len(border):
+        ring.append(after[ring[-1]])
+    once = len(ring) == len(border) == len(after) == len(np.unique(triangles))
+    return np.array(ring, np.int64) if ring and once else None
 
 
 def tightest(charts: Charts) -> Charts:

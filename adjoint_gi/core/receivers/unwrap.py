@@ -20,7 +20,7 @@ from .pack import FULL, pack_again, pack_on_shelves, pack_tightly
 from .projection import pieces, project
 from .uv_check import Faults, check
 
-TRIES = 4  # packings that are checked before the other way of unwrapping is taken
+TRIES = 5  # packings that are checked before the other way of unwrapping is taken: charts, pieces, polygons, polygons opened, and one more
 CHARTS = 0.6  # share of the work that making charts is thought to be
 
 
