@@ -187,6 +187,21 @@ def test_faces_without_uv_area_are_counted():
     assert lm.no_area == 2 and lm.covered.all() and set(lm.receivers.triangle) == {0, 1}
 
 
+def test_layers_of_ours_tell_of_what_is_at_stake_with_remedies_that_fit():
+    """Nobody can unwrap such a layer better, and slivers and specks have no texels in any layout."""
+    speck = (2 * np.array([[[0.02, 0.02], [0.03, 0.02], [0.02, 0.03]]])).tolist()
+    world = flat_world([*rectangle(0, 0.1, 1, 1), *speck], z=[0])
+    uv = world.scene.objects[0].uvs["UVMap"]
+
+    def said(ours):
+        return [f"{n.reason} {n.remedy}" for n in rasterize(world, [0], resolution=8, subsamples=1, ours=ours).warnings]
+
+    uv[2] = uv[2, 0]
+    assert "1 triangles have no area in UV space and get no texel Unwrap these faces" in said(False) and not said(True)
+    uv[0] = uv[0, 0]
+    assert said(True) == ["1 triangles have no area in UV space and get no texel Renew the lightmap UVs (--renew-uvs)"]
+
+
 def test_missing_layer_names_the_object_and_lists_the_others():
     with pytest.raises(TargetError, match=r'Object0.*"Bake".*"UVMap"'):
         rasterize(flat_world(rectangle(0, 0, 1, 1)), [0], "Bake", resolution=8)

@@ -129,7 +129,7 @@ class TextureWriter(Writer):
         request, world = self.request, self.world
         objects = [world.scene.objects[i] for i in group]
         uv_layers = dict(zip(group, layers, strict=True))
-        lightmap = rasterize(world, group, uv_layers, resolution, request.subsamples, facing=facing)
+        lightmap = rasterize(world, group, uv_layers, resolution, request.subsamples, facing=facing, ours=not request.uv_layer)
         self.notices += lightmap.warnings
         name = outputs.title(request, self.scene_name, objects[0].source)
         return Sheet(name, tuple(o.uid for o in objects), lightmap, slice(0), tuple(layers))

@@ -140,7 +140,7 @@ def _sound(vertices: np.ndarray) -> np.ndarray:
 
 
 def _usable(vertices: np.ndarray, triangles: np.ndarray, name: str, notices: Notices) -> np.ndarray:
-    """(nt,) bool: triangles with sound vertices and an area; the others are counted in notices."""
+    """(nt,) bool: triangles with sound vertices and an area; notices tell of the others."""
     sound = _sound(vertices)[triangles].all(axis=1)
     if not sound.all():
         notices.add(
@@ -157,7 +157,7 @@ def _usable(vertices: np.ndarray, triangles: np.ndarray, name: str, notices: Not
         flat = ~(doubled > SLIVER * longest)
     flat &= sound
     if flat.any():
-        notices.add(name, f"{int(flat.sum())} triangles have no area and are left out", "Merge by distance removes them", "info")
+        notices.add(name, "has triangles without an area, which are left out", "Merge by distance removes them", "info")
     return sound & ~flat
 
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from ..scene.topology import components, edge_pairs, uv_corner_ids, weld
 
-LONG = 2.0  # times as long as there is room for is what long charts are squeezed for: less halves the others at most
+LONG = 1.25  # times as long as there is room for is what charts are cut or squeezed for: less costs the others a fifth at most
+PIECE = 0.5  # share of the room that the pieces of a long chart are as long as
 CREASE = np.cos(np.radians(60))  # a sharper edge parts charts, so that light does not bleed around it
 EDGES = 64  # longest edges of a long chart that are looked at for its direction
 
@@ -70,6 +71,32 @@ def islands(mesh: Mesh, xy: np.ndarray, chart: np.ndarray | None = None) -> np.n
     return components(len(xy), order[:-1][same] // 3, order[1:][same] // 3)
 
 
+def room(charts: Charts, full: float) -> float:
+    """The side in metres of a square image of which all `charts` together cover the share `full`: how long a chart there is room for."""
+    return float(np.sqrt(np.abs(signed_areas(charts.xy)).sum() / full))
+
+
+def parted(mesh: Mesh, charts: Charts, side: float) -> Charts:
+    """`charts` with those cut across that are LONG times as long as an image of `side` metres: one long kerb would make all others small.
+
+    Faces stay whole, so that one that is as long itself is left to `shortened`.
+    """
+    low, high = charts.bounds()
+    size = high - low
+    parts = np.where(size.max(axis=1) > LONG * side, np.ceil(size.max(axis=1) / (PIECE * side)), 1)[charts.chart]
+    if not (parts > 1).any():
+        return charts
+    # The middle of each face along the longer side of its chart tells its part.
+    face = numbered(mesh.polygon)
+    middle = charts.xy.mean(axis=1)
+    middle = np.stack([np.bincount(face, middle[:, k]) for k in (0, 1)], axis=1) / np.bincount(face)[:, None]
+    share = ((middle[face] - low[charts.chart]) / np.maximum(size[charts.chart], 1e-300))[
+        np.arange(len(face)), size.argmax(axis=1)[charts.chart]
+    ]
+    part = np.minimum((share * parts).astype(np.int64), parts.astype(np.int64) - 1)
+    return Charts(charts.xy, islands(mesh, charts.xy, numbered(charts.chart * (int(part.max()) + 1) + part)))
+
+
 def shortened(charts: Charts, side: float, full: float) -> tuple[Charts, np.ndarray]:
     """`charts` with those squeezed along their lengths that are more than LONG times as long as there is room for, which is the side of
     an image of `side` texels of which all together cover the share `full`; and (count,) bool which. One would make all others small.
@@ -77,7 +104,7 @@ def shortened(charts: Charts, side: float, full: float) -> tuple[Charts, np.ndar
     xy, long = charts.xy.copy(), np.zeros(charts.count, bool)
     for _ in range(charts.count):
         # Step 1: the longest that an image has room for, m. Each round finds more, as the others grow by what those leave.
-        most = float(np.sqrt(np.abs(signed_areas(xy)).sum() / full))
+        most = room(Charts(xy, charts.chart), full)
         low, high = Charts(xy, charts.chart).bounds()
         more = np.flatnonzero((high - low).max(axis=1) > most * LONG)
         if not len(more):

@@ -104,13 +104,14 @@ def rasterize(
     placement: Mapping[int, Placement] | None = None,
     memory_limit: int = MEMORY_LIMIT,
     facing: np.ndarray | None = None,
+    ours: bool = False,
 ) -> Lightmap:
     """Find the surface points of every texel of an image shared by `objects` (indices into `world.scene.objects`).
 
     `uv_layer` is one name for all, or one for each object; "" is the layer used for rendering. `resolution` is (width, height).
     A texel is covered if any of its `subsamples` places lies inside a triangle; a place that two triangles claim goes to the one
     with the lower index. `facing` as in `SurfaceReceivers`. Places inside bodies that stand on the surface are left out, and texels
-    that have no others are not covered.
+    that have no others are not covered. `ours`: the layers were made for this, so warnings name no remedy that is the user's.
     Raises TargetError for a missing layer or when no texel is covered, MemoryRefused above `memory_limit`.
     """
     width, height = _checked(resolution, subsamples, memory_limit)
@@ -141,6 +142,7 @@ def rasterize(
     owner = world.scene.object[triangle] if len(triangle) else triangle
     counts = {name: len(found) for name, found in problems.items()}
     counts |= {"overlap": claims.overlapping, "tiny": len(np.unique(chart[problems["tiny"]]))}
+    told = _at_stake(world, triangle, layout, chart, problems, counts) if ours else (problems, counts)
     return Lightmap(
         receivers=receivers,
         pixel=pixel,
@@ -154,7 +156,7 @@ def rasterize(
         outside=counts["outside"],
         unusable=counts["unusable"],
         no_area=counts["no_area"],
-        warnings=_warnings(world, owner, problems, counts, len(pixel)),
+        warnings=_warnings(world, owner, *told, len(pixel), ours),
     )
 
 
@@ -187,6 +189,20 @@ def _outside(
     texel = np.repeat(np.arange(len(claims.many)), claims.many)
     many = np.bincount(texel[keep], minlength=len(claims.many))
     return claims.item[keep], claims.u[keep], claims.v[keep], many
+
+
+def _at_stake(
+    world: World, triangle: np.ndarray, layout: UvTriangles, chart: np.ndarray, problems: dict[str, np.ndarray], counts: dict[str, int]
+) -> tuple[dict[str, np.ndarray], dict[str, int]]:
+    """The `problems` and their `counts` without triangles and charts that are so small that at the density of their object, or of all
+    where that has none, they would get no texel, or fewer than two, in any layout."""
+    area, owner, flat = world.area[triangle].astype(np.float64), world.scene.object[triangle], 0.5 * np.abs(layout.doubled)
+    whole, texels = (np.bincount(owner, x, len(world.scene.objects)) for x in (area, flat))
+    density = np.where(texels > 0, texels / np.maximum(whole, 1e-300), texels.sum() / max(float(whole.sum()), 1e-300))[owner]
+    due = area * density
+    large = {"no_area": due >= 1, "tiny": (np.bincount(chart, due) >= 2)[chart]}
+    problems = problems | {name: problems[name][which[problems[name]]] for name, which in large.items()}
+    return problems, counts | {"no_area": len(problems["no_area"]), "tiny": len(np.unique(chart[problems["tiny"]]))}
 
 
 def _unfit(layout: UvTriangles, tiny: np.ndarray) -> dict[str, np.ndarray]:
@@ -235,24 +251,33 @@ def _gather(
     return np.concatenate(triangle), np.concatenate(uv), np.concatenate(chart), charts
 
 
+RENEW = "Renew the lightmap UVs (--renew-uvs)"
+# Of each problem: what is said, what helps a layer of the user's, and what helps one of ours.
 SENTENCES = {
     "overlap": (
         "{n} texels ({share:.1f} %) are claimed by faces at different places, which then share one value",
         "Unwrap without overlaps, or make a lightmap layer",
+        f"{RENEW}; faces whose sides cross share texels in any layout",
     ),
-    "outside": ("{n} triangles reach out of the unit square and are cut off there", "Move the UVs into the unit square"),
-    "unusable": ("{n} triangles have UV coordinates that are not numbers and get no texel", "Unwrap these faces again"),
-    "no_area": ("{n} triangles have no area in UV space and get no texel", "Unwrap these faces"),
-    "tiny": ("{n} UV islands own fewer than two texels", "Raise the resolution or unwrap into larger islands"),
+    "outside": ("{n} triangles reach out of the unit square and are cut off there", "Move the UVs into the unit square", RENEW),
+    "unusable": ("{n} triangles have UV coordinates that are not numbers and get no texel", "Unwrap these faces again", RENEW),
+    "no_area": ("{n} triangles have no area in UV space and get no texel", "Unwrap these faces", RENEW),
+    "tiny": (
+        "{n} UV islands own fewer than two texels",
+        "Raise the resolution or unwrap into larger islands",
+        "Raise the resolution",
+    ),
 }
 
 
-def _warnings(world: World, owner: np.ndarray, problems: dict[str, np.ndarray], counts: dict[str, int], texels: int) -> tuple[Notice, ...]:
+def _warnings(
+    world: World, owner: np.ndarray, problems: dict[str, np.ndarray], counts: dict[str, int], texels: int, ours: bool
+) -> tuple[Notice, ...]:
     """One notice for each kind of problem, naming the objects it concerns."""
     out = []
-    for kind, (reason, remedy) in SENTENCES.items():
+    for kind, (reason, remedy, renewal) in SENTENCES.items():
         if counts[kind]:
             names = [world.scene.objects[i].name for i in np.unique(owner[problems[kind]])]
             label = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-            out.append(Notice(label, reason.format(n=counts[kind], share=100 * counts[kind] / texels), remedy))
+            out.append(Notice(label, reason.format(n=counts[kind], share=100 * counts[kind] / texels), renewal if ours else remedy))
     return tuple(out)

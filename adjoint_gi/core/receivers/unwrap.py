@@ -14,7 +14,7 @@ import numpy as np
 
 from ..base.errors import TargetError
 from ..base.steps import Steps, finish, within
-from .charts import Charts, Mesh, islands, join, shortened
+from .charts import Charts, Mesh, islands, join, parted, room, shortened
 from .conformal import cut_off, making_charts
 from .pack import FULL, pack_again, pack_on_shelves, pack_tightly
 from .projection import pieces, project
@@ -140,6 +140,8 @@ def _checked(
 ) -> Steps[Unwrapped]:
     """Pack, check and mend, a few times. Raises TargetError or, for charts of xatlas, _Unfit."""
     gap, scale = padding, 0.0
+    side = room(join(charts, density), FULL)
+    charts = [parted(mesh, part, side / factor) for mesh, part, factor in zip(meshes, charts, density, strict=True)]
     for number in range(TRIES):
         flat = join(charts, density)
         flat, long = shortened(flat, resolution, FULL) if squeeze else (flat, np.zeros(flat.count, bool))
