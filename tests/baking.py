@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 from adjgi.adjoint_gi.bridge.baking.bake import Bake, BakeRequest
+from adjgi.adjoint_gi.bridge.baking.writer import find_objects
 from adjgi.adjoint_gi.bridge.results.image import linked_image, read_pixels
 from adjgi.adjoint_gi.bridge.results.lightmap_uv import FACES, NAME, SHARED, STORED, make_lightmap_uvs, own_layer
-from adjgi.adjoint_gi.bridge.results.links import ABOUT, RESULTS, link
+from adjgi.adjoint_gi.bridge.results.links import ABOUT, MADE, RESULTS, link
 from adjgi.adjoint_gi.core.base.errors import AdjointError
 from adjgi.adjoint_gi.core.method import registry
 from adjgi.adjoint_gi.core.receivers.texels import Lightmap
@@ -68,7 +69,7 @@ def lightmaps(req: BakeRequest) -> dict[str, Baked]:
     made = bake(req)
     out = {}
     for sheet in made.writer.sheets:
-        obj = bpy.data.objects[sheet.name]
+        (obj,) = find_objects(sheet.uids, sheet.name)
         pixels = read_pixels(linked_image(obj, req.quantity)).astype(np.float64)
         out[sheet.name] = Baked(
             pixels[..., :3],
@@ -269,9 +270,10 @@ def _neighbours(values: np.ndarray, used: np.ndarray) -> np.ndarray:
 def fingerprint() -> dict[str, object]:
     """Everything of the user's in the open file by name, our results left out: two are equal when nothing of it has changed."""
     out: dict[str, object] = {}
-    for mesh in bpy.data.meshes:
+    made = [o for o in bpy.data.objects if MADE in o]
+    for mesh in {*bpy.data.meshes} - {o.data for o in made}:
         out[f"mesh {mesh.name}"] = _mesh(mesh)
-    for obj in bpy.data.objects:
+    for obj in {*bpy.data.objects} - {*made}:
         slots = [(s.link, s.material.name if s.material else None) for s in obj.material_slots]
         custom = _custom(obj, RESULTS)
         state = (obj.mode, obj.select_get() if obj.name in bpy.context.view_layer.objects else None, obj.hide_render, obj.hide_viewport)

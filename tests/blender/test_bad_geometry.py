@@ -118,7 +118,7 @@ def no_meshes(_):
     put(bpy.data.curves.new("wire", "CURVE"), "wire")
     text = bpy.data.curves.new("text", "FONT")
     text.body = "a"
-    put(text, "text")
+    put(text, "text").location.x = 6.0
     ball = bpy.data.metaballs.new("ball")
     ball.elements.new()
     put(ball, "ball")
@@ -181,7 +181,7 @@ WITHOUT = ("bad", "has no faces and is left out")
 NO_AREA = ("bad", "has no face with an area and is left out")
 OUT_OF_BOUNDS = ("bad", "triangles have coordinates that are not numbers or exceed")
 NO_SIZE = ("bad", "has a scale of zero or a matrix that is not a number and is left out")
-NO_MESHES = (*((n, "left out") for n in ("wire", "empty", "volume")), *((n, "no mesh to bake to") for n in ("text", "ball")))
+NO_MESHES = (*((n, "left out") for n in ("wire", "empty", "volume")), *((n, "result is on an object of its own") for n in ("text", "ball")))
 HIDDEN = (("hidden", "is hidden in render"), ("off", "is disabled in the viewport"))
 NAMED = ("--objects", "bad")
 PICTURE = ("--target", "render", "--size", "16x16")
@@ -215,8 +215,9 @@ CASES = [
     Case(22, "room with its normals outward", turned_room, told=(("Room", "so their backs are baked"),), check=lit("Room")),
     Case(24, "instances", two_thousand_instances, check=lit("Good")),
     Case(25, "geometry nodes without a mesh", nodes_without_mesh, told=(("bad", "left out"),), check=lit("Good")),
-    Case(26, "curve, text, metaball, empty, volume", no_meshes, told=NO_MESHES, check=lit("Good")),
-    Case(26, "text, asked for", no_meshes, ("text", "is a font, not a mesh"), options=("--objects", "text")),
+    Case(26, "curve, text, metaball, empty, volume", no_meshes, told=NO_MESHES, check=lit("Good", "text GI", "ball GI")),
+    Case(26, "text, asked for", no_meshes, check=lit("text GI"), options=("--objects", "text")),
+    Case(26, "empty, asked for", no_meshes, ("empty", "is an empty, not a mesh"), options=("--objects", "empty")),
     Case(28, "hidden objects", hidden, told=HIDDEN, check=lit("Good")),
     Case(28, "hidden object, asked for", hidden, ("hidden", "is hidden in render"), options=("--objects", "hidden")),
     Case(28, "excluded object, asked for", hidden, ("excluded", "its collection is excluded"), options=("--objects", "excluded")),

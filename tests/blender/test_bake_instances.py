@@ -226,7 +226,7 @@ def test_named_makers_mean_their_instances_alone(tmp_path):
     bpy.context.view_layer.update()
     made = baking.lightmaps(asked(objects=("place 1",)))
     assert list(made) == ["chair[place 1.0]"] and sum(len(o.instance) > 0 for o in made["chair[place 1.0]"].world.scene.objects) == 2
-    with pytest.raises(AdjointError, match="is a empty"):
+    with pytest.raises(AdjointError, match="is an empty"):
         Bake(bpy.context, asked(objects=("place 1",), instances=False))
     clear()
     arguments = ["bake", "--instances", "--objects", "place 1", "--resolution", "8", "--set", "samples=1", "--output", str(tmp_path)]

@@ -21,6 +21,7 @@ from ..host.preparation import Aside, Stages, once
 from ..results import links, preview
 from ..results.attribute import WrittenAttribute, write_attribute, write_to_copy
 from ..results.elements import write_elements
+from ..results.real import is_whole
 from .preflight import receiving
 from .writer import Writer, find_objects
 
@@ -76,7 +77,8 @@ class AttributeWriter(Writer):
     def _write_mesh(self, where: tuple, found: tuple[np.ndarray, np.ndarray], how: dict[str, Any]) -> WrittenAttribute:
         """Onto the object's mesh, or onto an object of its own where the user has meanwhile made a linked duplicate or a modifier that
         changes the mesh: the result is whole, and its mesh is still there."""
-        separate = self.request.new_object or where[0].name in self.request.separate
+        # What was made of a curve is an object of its own already.
+        separate = (self.request.new_object or where[0].name in self.request.separate) and not is_whole(where[0])
         try:
             return write_attribute(*where, *found, **how, new_object=separate)
         except TargetError as error:

@@ -29,10 +29,9 @@ from ..extract.images import reading, return_images
 from ..host import files
 from ..host.preparation import Aside, Stages, finish_stages, once
 from ..props.request import BakeRequest, raise_first
-from ..results import real as reals
 from . import outputs
 from .attributes import AttributeWriter
-from .instances import Real, make, title
+from .instances import Real, make
 from .picture import PictureWriter
 from .preflight import checker, inspecting, left_out, ordered, picture_size, preflight, receiving, resolve, target_objects
 from .textures import TextureWriter
@@ -152,7 +151,7 @@ def building(request: BakeRequest, said: list[Notice]) -> Stages[Built]:
 def _attempting(request: BakeRequest, said: list[Notice], names: dict[str, str]) -> Stages[Built]:
     """`building` for these objects; raises `AdjointError` when one of them cannot receive.
 
-    `names` gets the names of objects made of instances, which are gone then, with what to leave out instead of each.
+    `names` gets the names of objects made of instances and curves, which are gone then, with what to leave out instead of each.
     """
     # Step 1: refuse what cannot work, before anything is touched.
     request, notices = resolve(bpy.context, request)
@@ -163,7 +162,7 @@ def _attempting(request: BakeRequest, said: list[Notice], names: dict[str, str])
     with contextlib.ExitStack() as undo:
         real = make(bpy.context, request)
         undo.push(real.undo)
-        names.update({o.name: title(name, reals.is_own(o)) for name, o in real.objects.items()})
+        names.update(real.left_out)
         said[:] = [*real.fitting(notices), *real.notices, *_checked(real, request)]
         arrays, same = yield from _extracting(request, real)
         world = yield Aside("Building the tree of rays", once(lambda: World(arrays)))
@@ -220,7 +219,7 @@ def _first_step(driver: Driver) -> None:
 
 
 def _checked(real: Real, request: BakeRequest) -> list[Notice]:
-    """What is said of the objects made of instances; raises `TargetError` for one that cannot receive."""
+    """What is said of the objects that were made; raises `TargetError` for one that cannot receive."""
     found = [n for obj in real.objects.values() for n in checker(request)(obj, request)]
     for n in found:
         if n.severity == "error":

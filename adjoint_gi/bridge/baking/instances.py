@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Making instances real for a bake: an object of ours for each instance, with a mesh of its own, in a collection of ours.
+"""Making real for a bake what has no mesh of its own: an object of ours for each instance, each curve, text, surface and family of
+metaballs, with its evaluated mesh, in a collection of ours.
 
-The instancers stay as they are. `results.real` says how the objects are kept, and `extract.instances` how they come into the light.
+The user's objects stay as they are. `results.real` says how the objects are kept, and `extract.instances` how they come into the light.
 """
 
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import bpy
 from mathutils import Matrix
@@ -28,24 +29,47 @@ SHEAR = 1e-5  # largest difference of a matrix, relative to its largest coeffici
 
 @dataclass(eq=False)
 class Asked:
-    """An instance that is asked for; `mesh` is our copy of its faces, which it may share with others."""
+    """An instance that is asked for, or a `whole` object that is no mesh.
+
+    `mesh` is our copy of its faces, which it may share with others.
+    """
 
     name: str
     original: bpy.types.Object
     maker: bpy.types.Object
     matrix: Matrix
-    mesh: bpy.types.Mesh
+    mesh: bpy.types.Mesh | None
     materials: list[bpy.types.Material | None]
+    whole: bool = False
+
+    @property
+    def key(self) -> str | int:
+        """By what the object of an earlier bake is found: a whole one may have been renamed."""
+        return self.maker.session_uid if self.whole else self.name
+
+    @property
+    def title(self) -> str:
+        """What the object is called that is made of it."""
+        if self.whole:
+            return f"{self.name} GI"
+        return own_faces(self.name) if self.original == self.maker else self.name
+
+    @property
+    def left_out(self) -> str:
+        """What stands for it in `BakeRequest.left_out`."""
+        return self.name if self.whole else self.title
 
 
 @dataclass(eq=False)
 class Real:
-    """Objects made of instances, by the name of the instance.
+    """Objects made, by the name that extraction has for what each was made of.
 
-    `undo` takes back what was made; `settle` removes for good what has been replaced, once there is a result.
+    `left_out` has by the name of each what to leave out instead of it. `undo` takes back what was made; `settle` removes for good what has
+    been replaced, once there is a result.
     """
 
     objects: dict[str, bpy.types.Object] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
     notices: list[Notice] = field(default_factory=list)
     undo: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
     _old_objects: list[int] = field(default_factory=list)  # session_uids, because an undo step of Blender moves datablocks
@@ -68,13 +92,14 @@ class Real:
 
 
 def make(context: bpy.types.Context, request: BakeRequest) -> Real:
-    """An object for each instance that `request` means and a render shows, made or, from an earlier bake, renewed.
+    """An object for all that `request` means, a render shows and has no mesh of its own, made or, from an earlier bake, renewed: curves
+    and the like, and with Bake Instances each instance.
 
     Where an instancer has faces of its own, these get an object as well: it is hidden where its instances are shown as objects.
     Raises `TargetError`; then nothing has changed.
     """
     made = Real()
-    if not request.instances or request.target == "render":
+    if request.target == "render" or not (request.instances or _any_whole(context)):
         return made
     with unhidden(context.view_layer):
         walk = _Walk(context.evaluated_depsgraph_get(), request)
@@ -90,8 +115,18 @@ def make(context: bpy.types.Context, request: BakeRequest) -> Real:
     return made
 
 
+def _any_whole(context: bpy.types.Context) -> bool:
+    """Whether there may be an object that is no mesh and has faces, or what an earlier bake made of one."""
+    return any(reals.may_become_mesh(o) for o in context.view_layer.objects) or any(map(reals.is_whole, reals.objects_of(context.scene)))
+
+
+def own_faces(name: str) -> str:
+    """What the object is called for the faces that the instancer `name` has itself."""
+    return f"{name}[{name}]"
+
+
 class _Walk(InstanceWalk):
-    """Finds the instances, under the names that the extraction will give them, and copies each mesh once."""
+    """Finds the instances and what is no mesh, under the names that the extraction will give them, and copies each mesh once."""
 
     def __init__(self, depsgraph: bpy.types.Depsgraph, request: BakeRequest) -> None:
         super().__init__(lambda material: 0, frozenset(), Notices())
@@ -109,7 +144,7 @@ class _Walk(InstanceWalk):
         """What becomes of the instances of each maker."""
         of: dict[str, list[str]] = {}
         for f in self.found:
-            if f.original != f.maker:
+            if not f.whole and f.original != f.maker:
                 of.setdefault(f.maker.name, []).append(f.original.name)
         text = "makes {} instance{} of {}, baked as objects of their own"
         told = [Notice(n, text.format(len(s), "s" * (len(s) > 1), listed(list(dict.fromkeys(s)))), "", "info") for n, s in of.items()]
@@ -120,44 +155,35 @@ class _Walk(InstanceWalk):
         matrix = inst.matrix_world.copy()
         if is_flat([x for row in matrix for x in row]) or not obj.data.polygons:
             return
-        if not ids or inst.parent is None:
+        whole = not ids and original.type != "MESH"
+        if not whole and (not ids or inst.parent is None):
             self._own[original] = name, matrix
             return
-        maker = inst.parent.original
-        if self._request.objects and maker.name not in self._request.objects:
+        maker = original if whole else inst.parent.original
+        if self._request.objects and maker.name not in self._request.objects or not (whole or self._request.instances):
             return
-        error = _locked(maker)
-        if error is not None:
-            self._locked[maker.name] = error
-        else:
+        error = reals.locked(maker)
+        if error is None:
             self._add(name, matrix, obj, original, maker)
+        elif not whole:
+            self._locked[maker.name] = error
 
     def _add(self, name: str, matrix: Matrix, obj: bpy.types.Object, original: bpy.types.Object, maker: bpy.types.Object) -> None:
         """Note one, with a copy of its mesh as it would be without what a bake has left on the original."""
-        if title(name, original == maker) in self._request.left_out:
+        asked = Asked(name, original, maker, matrix, None, [], original == maker and original.type != "MESH")
+        if asked.left_out in self._request.left_out:
             return
         if len(self.found) >= MOST:
             remedy = "Choose some of the objects that make them, or turn off Bake Instances"
             raise TargetError("Bake Instances", f"means more than {MOST:,} instances", remedy)
         key = obj.data.as_pointer()
         if key not in self.copies:
-            mesh = bpy.data.meshes.new_from_object(obj, preserve_all_data_layers=True, depsgraph=self._depsgraph)
+            # Of a curve, evaluating again for all layers takes its data for a mesh and crashes Blender 4.2; what is there has all of them.
+            layers = {"preserve_all_data_layers": True, "depsgraph": self._depsgraph} if original.type == "MESH" else {}
+            mesh = bpy.data.meshes.new_from_object(obj, **layers)
             self.copies[key] = _stripped(mesh, original)
-        self.found.append(
-            Asked(name, original, maker, matrix, self.copies[key], [m and m.original for m in self.user_materials(obj, obj.data)])
-        )
-
-
-def title(name: str, own: bool) -> str:
-    """The name of the object for the instance `name`, or for the instancer's `own` faces."""
-    return f"{name}[{name}]" if own else name
-
-
-def _locked(maker: bpy.types.Object) -> TargetError | None:
-    """Why the instances of `maker` cannot be replaced for Show Result: it belongs to another file."""
-    if maker.library is None and maker.override_library is None and maker.is_editable:
-        return None
-    return TargetError(maker.name, "is linked from another file, or overrides what is", "Make it local")
+        materials = [m and m.original for m in self.user_materials(obj, obj.data)]
+        self.found.append(replace(asked, mesh=self.copies[key], materials=materials))
 
 
 def _stripped(mesh: bpy.types.Mesh, original: bpy.types.Object) -> bpy.types.Mesh:
@@ -182,39 +208,39 @@ def _stripped(mesh: bpy.types.Mesh, original: bpy.types.Object) -> bpy.types.Mes
 
 def _place(scene: bpy.types.Scene, request: BakeRequest, found: list[Asked], made: Real) -> None:
     """Have an object for each of `found`, and none for instances of the same makers that are no more."""
-    known = {reals.instance_name(o): o for o in reals.of_makers(scene, request.objects)}
+    known = {reals.key(o): o for o in reals.of_makers(scene, request.objects) if request.instances or reals.is_whole(o)}
     for obj in known.values():
         links.check_edit_mode(obj)
     collection = reals.collection_of(scene)
     if not found and collection is None:
         return
     if collection is None:
-        collection = bpy.data.collections.new(f"{scene.name} GI Instances")
+        collection = bpy.data.collections.new(f"{scene.name} GI Objects")
         collection[REALS] = True
         scene.collection.children.link(collection)
         made.undo.callback(reals.remove, scene)
     for f in found:
-        obj = known.get(f.name)
+        obj = known.get(f.key)
         if obj is not None and not obj.modifiers and obj.data.users == 1:
-            _renew(known.pop(f.name), f, made)
+            _renew(known.pop(f.key), f, made)
         else:
             obj = _new(collection, f, made)
-        made.objects[f.name] = obj
-    for obj in known.values():  # instances that are gone
+        made.objects[f.name], made.left_out[obj.name] = obj, f.left_out
+    for obj in known.values():  # what they were made of is gone
         collection.objects.unlink(obj)
         made.undo.callback(_put_back, scene, obj.session_uid)
         made._old_objects.append(obj.session_uid)
 
 
 def _new(collection: bpy.types.Collection, f: Asked, made: Real) -> bpy.types.Object:
-    """An object for an instance that had none; hidden until it is shown."""
+    """An object for what had none; hidden until it is shown."""
     mesh, sheared, matrix, total = _shaped(f)
-    obj = bpy.data.objects.new(title(f.name, f.original == f.maker), mesh)
+    obj = bpy.data.objects.new(f.title, mesh)
     made.undo.callback(reals.remove_objects, [obj.session_uid])
     mesh.name = obj.name
     obj.hide_render = obj.hide_viewport = True
     obj[MADE] = True
-    obj[REAL] = {"instance": f.name, "sum": total, "sheared": sheared}
+    obj[REAL] = {"instance": f.name, "sum": total, "sheared": sheared, **({"kind": f.maker.type} if f.whole else {})}
     obj[REAL]["maker"] = f.maker
     obj.matrix_world = matrix
     if hasattr(obj, "adjoint_gi_density"):

@@ -90,6 +90,8 @@ def resolve(context: bpy.types.Context, request: BakeRequest) -> tuple[BakeReque
         present = _by_name(context)
         for name in request.objects:
             notices += _named(context, name, present.get(name), request.instances)
+        owners = [reals.surface_owner(present[name], scene).name for name in request.objects if name in present]
+        request = replace(request, objects=tuple(dict.fromkeys(owners))) if len(owners) == len(request.objects) else request
         if not any(n.severity == "error" for n in notices):
             request, found = _resolve_objects(context, request)
             notices += found
@@ -134,10 +136,10 @@ def target_objects(context: bpy.types.Context, request: BakeRequest) -> list[bpy
     Also the objects that are there for instances, which a bake makes.
     """
     request = resolve(context, request)[0]
-    real = reals.of_makers(context.scene, request.objects) if request.instances else []
+    real = [o for o in reals.of_makers(context.scene, request.objects) if request.instances or reals.is_whole(o)]
     replaced = {reals.maker_of(o) for o in real if reals.is_own(o)}
     able = [o for o in _meant(context, request) if o not in replaced and (request.objects or targets.linked(o, False) is None)]
-    return [o for o in (*able, *real) if o.name not in request.left_out]
+    return [o for o in (*able, *real) if reals.standing_for(o).name not in request.left_out]
 
 
 def _meant(context: bpy.types.Context, request: BakeRequest) -> list[bpy.types.Object]:
@@ -185,8 +187,9 @@ def _of_objects(world: World, request: BakeRequest, receivers: list[int]) -> lis
         return notices
     present = {name for i in receivers for name in (arrays.objects[i].source, arrays.objects[i].maker)}
     notices = refusals(notices, [n for n in request.objects if n not in present])
+    notices += _meshless(arrays, request)
     if not request.objects:
-        notices += _meshless(arrays) + _instances(arrays, request)
+        notices += _instances(arrays, request)
     if not receivers and not request.objects and not any(n.severity == "error" for n in notices):
         notices.append(Notice("Scene", "has no mesh object with faces to bake", "Add one, or show one in renders", "error"))
     return notices
@@ -225,15 +228,15 @@ def refusals(notices: list[Notice], missing: list[str]) -> list[Notice]:
 
 
 def receiving(arrays: SceneArrays, request: BakeRequest) -> list[int]:
-    """Indices of the objects that receive: no instances, texts or curves, which have no mesh to write to, nor objects of other files."""
+    """Indices of the objects that receive: no instances nor objects of other files. Of what is no mesh the bake makes an object."""
     if request.target == "render":
         return []
-    meshes = {o.session_uid: o for o in bpy.data.objects if o.type == "MESH" and (reals.is_real(o) or not targets.is_result(o))}
-    own = [i for i, o in enumerate(arrays.objects) if not o.instance and o.uid in meshes]
+    objects = {o.session_uid: o for o in bpy.data.objects if reals.is_real(o) or not targets.is_result(o)}
+    own = [i for i, o in enumerate(arrays.objects) if not o.instance and o.uid in objects]
     if request.objects:
         wanted = set(request.objects)
         return [i for i in own if wanted & {arrays.objects[i].source, arrays.objects[i].maker}]
-    able = [i for i in own if targets.linked(meshes[arrays.objects[i].uid], False) is None]
+    able = [i for i in own if targets.linked(objects[arrays.objects[i].uid], False) is None]
     return [i for i in able if arrays.objects[i].source not in request.left_out]
 
 
@@ -319,8 +322,10 @@ def _named(context: bpy.types.Context, name: str, obj: bpy.types.Object | None, 
         return [Notice(name, reason, f"Choose of the mesh objects: {have}", "error")]
     if obj.is_missing:
         return [Notice(name, *targets.missing(obj), "error")]
-    if obj.type != "MESH" and not (instances and reals.may_make(obj)):
-        return [Notice(name, f"is a {obj.type.lower()}, not a mesh", "Convert it to a mesh", "error")]
+    if obj.type != "MESH" and not reals.may_become_mesh(obj) and not (instances and reals.may_make(obj)):
+        return [Notice(name, f"is {reals.described(obj)}, not a mesh", "Choose a mesh, or what has faces when it is evaluated", "error")]
+    if reals.may_become_mesh(obj) and reals.locked(obj) is not None:
+        return [replace(reals.locked(obj).notice, severity="error")]
     if targets.is_result(obj):
         return [Notice(name, "was made by a bake to hold a result, so nothing is baked to it", "Bake the object it was made of", "error")]
     if obj.hide_render:
@@ -328,12 +333,21 @@ def _named(context: bpy.types.Context, name: str, obj: bpy.types.Object | None, 
     return []
 
 
-def _meshless(arrays: SceneArrays) -> list[Notice]:
-    """Texts, curves and the like, which are in the light but not baked."""
-    kinds = {o.session_uid: o.type for o in bpy.data.objects}
-    found = [(o.source, kinds.get(o.uid, "MESH")) for o in arrays.objects if not o.instance]
-    reason = "takes part in the light, but has no mesh to bake to"
-    return [Notice(name, f"is a {kind.lower()}, which {reason}", "Convert it to a mesh", "info") for name, kind in found if kind != "MESH"]
+def _meshless(arrays: SceneArrays, request: BakeRequest) -> list[Notice]:
+    """What becomes of texts, curves and the like."""
+    present = {o.session_uid: o for o in bpy.data.objects}
+    meant = [o for o in arrays.objects if not o.instance and (not request.objects or o.source in request.objects)]
+    found = [reals.standing_for(present[o.uid]) for o in meant if o.uid in present and o.source not in request.left_out]
+    return [_of_meshless(obj) for obj in found if obj.type != "MESH"]
+
+
+def _of_meshless(obj: bpy.types.Object) -> Notice:
+    """The same, of one."""
+    error = reals.locked(obj)
+    if error is not None:
+        return left_out(error.notice)
+    reason = f'is {reals.described(obj)}, whose result is on an object of its own in the collection "GI Objects"'
+    return Notice(obj.name, reason, "", "info")
 
 
 def _instances(arrays: SceneArrays, request: BakeRequest) -> list[Notice]:

@@ -17,6 +17,7 @@ from ..props.request import BakeRequest
 from ..results import stored
 from ..results.faces import MeshFaces
 from ..results.lightmap_uv import marked, outdated, own_layer, paddings
+from ..results.real import standing_for
 
 DENSITY = "adjoint_gi_density"  # property of objects: multiplies their texels a metre
 FULL = 0.6  # share of the image that charts are first thought to fill
@@ -25,8 +26,8 @@ CLOSE = 1.03  # how near the texels a metre that are asked for must be met
 
 
 def multiplier(obj: bpy.types.Object) -> float:
-    """How many times more texels a metre than others `obj` is to have."""
-    return float(getattr(obj, DENSITY, 1.0))
+    """How many times more texels a metre than others `obj` is to have; what was made of a curve follows the curve."""
+    return float(getattr(standing_for(obj), DENSITY, 1.0))
 
 
 def asked(obj: bpy.types.Object, request: BakeRequest) -> str:

@@ -18,6 +18,7 @@ from ..host.versions import terminator_offset
 from ..results import links as targets
 from ..results import real as reals
 from ..results.preview import own_material
+from ..results.real import BECOMES_MESH
 from .cycles_settings import name_bounces, name_object_settings
 from .mesh import LARGEST_COORDINATE, MeshArrays, read_mesh
 from .nodes import attributes_read
@@ -25,7 +26,6 @@ from .unsupported import name_rays, name_viewport
 from .visibility import NO_ID, Visibility
 
 FACELESS = {"CAMERA", "LIGHT", "LIGHT_PROBE", "SPEAKER", "ARMATURE", "LATTICE"}
-BECOMES_MESH = {"CURVE", "FONT", "SURFACE", "META"}
 
 
 @dataclass(eq=False)
@@ -57,7 +57,8 @@ class InstanceWalk:
     """One pass over the instances of a depsgraph.
 
     `material_of` gives the index of a material, or of the default for None; faces with one of `bodiless`, filled by it, are no surface.
-    An instance whose name is in `real` is taken as that object: it has the instance's faces, and UVs of its own.
+    An instance whose name is in `real` is taken as that object: it has the instance's faces, and UVs of its own. An object that is no
+    mesh keeps its name then.
     """
 
     def __init__(
@@ -150,7 +151,8 @@ class InstanceWalk:
         maker = inst.parent.original.name if ids and inst.parent else ""
         own = self._real.get(name)
         if own is not None:
-            name, source, ids, maker = own.name, own.name, (), reals.maker_name(own)
+            if not reals.is_whole(own):
+                name, source, ids, maker = own.name, own.name, (), reals.maker_name(own)
             matrix = reals.placed(own, matrix)
         if is_flat(matrix):
             reason = "has a scale of zero or a matrix that is not a number and is left out"

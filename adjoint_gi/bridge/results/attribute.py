@@ -14,6 +14,7 @@ from ...core.base.atomic import require_finite
 from ...core.base.errors import Notice, TargetError, WriteError
 from . import links as targets
 from . import stored
+from .stored import ADDED
 
 # Custom property of the mesh: key -> JSON list of our attributes, the one written last at the end. Each has the name that was wanted,
 # the name it has, and a checksum of what was written, by which it is found after the user has renamed it.
@@ -279,6 +280,9 @@ def place_result_object(obj: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.type
         targets.store(obj, OBJECT, made=made)
     else:
         old = made.data
+        if stored.read(old, ADDED) is not None and not mesh.materials:  # the preview goes on
+            mesh.materials.append(None)
+            mesh[ADDED] = True
         made.data = mesh
         if old != mesh and old.users == 0:
             bpy.data.meshes.remove(old)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Objects that a bake has made of instances, so that each has texels of its own: found again, shown in place of their makers, removed.
+"""Objects that a bake has made of instances, and of curves and the like, so that each has texels of its own: found again, removed.
 
 They stand in a collection of the scene and are in no light by themselves, because they are hidden in renders: in a bake the extraction
 takes the instance that each was made of, and gives it the mesh of the object. In the viewport they are hidden too, until Show Result.
-Which instance it is stands in a custom property: its name as extraction gives it, "Source[Maker.2.0]".
+Which instance it is stands in a custom property: its name as extraction gives it, "Source[Maker.2.0]". What is no mesh, such as a curve,
+is an instance of the mesh it evaluates to, made by itself; the property says what it was.
 """
 
 from __future__ import annotations
@@ -14,13 +15,28 @@ from collections.abc import Iterable
 import bpy
 import numpy as np
 
+from ...core.base.errors import TargetError
 from . import stored
 from .stored import REAL, REALS
 
+BECOMES_MESH = {"CURVE", "FONT", "SURFACE", "META"}  # what has faces once it is evaluated
+WORDS = {"FONT": "text", "META": "metaball", "CURVES": "hair curves object", "POINTCLOUD": "point cloud"}
+
 
 def is_real(obj: bpy.types.Object) -> bool:
-    """Whether a bake has made `obj` of an instance."""
+    """Whether a bake has made `obj` of an instance, or of what is no mesh."""
     return stored.read(obj, REAL) is not None
+
+
+def is_whole(obj: bpy.types.Object) -> bool:
+    """Whether a bake has made `obj` of a whole object that is no mesh."""
+    state = stored.read(obj, REAL)
+    return state is not None and bool(state.get("kind"))
+
+
+def standing_for(obj: bpy.types.Object) -> bpy.types.Object:
+    """The user's object that `obj` was made of, where that is no mesh; else `obj` itself."""
+    return (maker_of(obj) or obj) if is_whole(obj) else obj
 
 
 def maker_of(obj: bpy.types.Object) -> bpy.types.Object | None:
@@ -40,9 +56,15 @@ def instance_name(obj: bpy.types.Object) -> str:
     return stored.read(obj, REAL)["instance"]
 
 
+def key(obj: bpy.types.Object) -> str | int:
+    """By what it is found again: the session_uid of the whole object, which may have got another name, or the name of the instance."""
+    maker = maker_of(obj)
+    return maker.session_uid if is_whole(obj) and maker is not None else instance_name(obj)
+
+
 def is_own(obj: bpy.types.Object) -> bool:
     """Whether it stands for the faces of the instancer itself."""
-    return maker_of(obj) is not None and instance_name(obj) == maker_name(obj)
+    return maker_of(obj) is not None and not is_whole(obj) and instance_name(obj) == maker_name(obj)
 
 
 def placed(obj: bpy.types.Object, matrix: list[float]) -> list[float]:
@@ -65,9 +87,41 @@ def objects_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def of_makers(scene: bpy.types.Scene, names: Iterable[str]) -> list[bpy.types.Object]:
-    """Those that stand for instances of the makers `names`, or all where there are no names."""
+    """Those that stand for the makers `names` or for their instances, or all where there are no names."""
     wanted = set(names)
     return [o for o in objects_of(scene) if not wanted or maker_name(o) in wanted]
+
+
+def may_become_mesh(obj: bpy.types.Object) -> bool:
+    """Whether an object that is no mesh can have faces once it is evaluated."""
+    return obj.type in BECOMES_MESH or (obj.type not in ("MESH", "EMPTY") and any(m.type == "NODES" for m in obj.modifiers))
+
+
+def described(obj: bpy.types.Object) -> str:
+    """What the kind of `obj` is called, with its article."""
+    word = WORDS.get(obj.type, obj.type.lower().replace("_", " "))
+    return f"an {word}" if word[0] in "aeiou" else f"a {word}"
+
+
+def locked(obj: bpy.types.Object) -> TargetError | None:
+    """Why `obj` cannot be hidden in favour of what is made of it, so that nothing is: it belongs to another file."""
+    if obj.library is None and obj.override_library is None and obj.is_editable:
+        return None
+    return TargetError(obj.name, "is linked from another file, or overrides what is", "Make it local")
+
+
+def surface_owner(obj: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Object:
+    """Of a metaball the one whose the surface is, which all of one name form together: the first by number. Else `obj` itself."""
+    if obj.type != "META":
+        return obj
+    name = _name_and_number(obj)[0]
+    family = [o for o in scene.objects if o.type == "META" and _name_and_number(o)[0] == name]
+    return min([*family, obj], key=lambda o: _name_and_number(o)[1])
+
+
+def _name_and_number(obj: bpy.types.Object) -> tuple[str, int]:
+    head, _, tail = obj.name.rpartition(".")
+    return (head, int(tail)) if head and tail.isdecimal() else (obj.name, 0)
 
 
 def may_make(obj: bpy.types.Object) -> bool:

@@ -28,7 +28,7 @@ def holders(scene: bpy.types.Scene, quantity: str, target: str, new_object: bool
     if target == "texture":
         return [o for o in meshes if not _is_made(o) and targets.link(o, quantity) is not None]
     holding = [o for o in meshes if linked_attribute(o, quantity) is not None]
-    made = [o for o in holding if _is_made(o)]
+    made = [o for o in holding if _is_made(o) or (new_object and real.is_whole(o))]
     if new_object:
         return made
     own = [o for o in holding if not _is_made(o)]
@@ -108,9 +108,9 @@ def put_aside(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Iterat
 
 
 def selected(view_layer: bpy.types.ViewLayer, instances: bool = False) -> tuple[str, ...]:
-    """Names of the selected mesh objects. Results are none of them; one that is seen in place of its original stands for it.
+    """Names of the selected objects that have faces. Results are none of them; one that is seen in place of its original stands for it.
 
-    With `instances` also objects without a mesh that can have instances.
+    Of metaballs the one that has the surface is named. With `instances` also objects without a mesh that can have instances.
     """
 
     def is_selected(obj: bpy.types.Object) -> bool:
@@ -120,8 +120,9 @@ def selected(view_layer: bpy.types.ViewLayer, instances: bool = False) -> tuple[
             return any(o.select_get(view_layer=view_layer) for o in _instances_of(obj, view_layer))
         return (seen if seen is not None and obj.hide_get(view_layer=view_layer) else obj).select_get(view_layer=view_layer)
 
-    able = [o for o in view_layer.objects if o.type == "MESH" or (instances and real.may_make(o))]
-    return tuple(o.name for o in able if not targets.is_result(o) and is_selected(o))
+    able = [o for o in view_layer.objects if o.type == "MESH" or real.may_become_mesh(o) or (instances and real.may_make(o))]
+    chosen = [o for o in able if not targets.is_result(o) and is_selected(o)]
+    return tuple(dict.fromkeys(real.surface_owner(o, view_layer.id_data).name for o in chosen))
 
 
 def nothing_selected(view_layer: bpy.types.ViewLayer) -> tuple[str, str]:
@@ -142,12 +143,22 @@ def _show_instances(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, objects:
         if maker is None or stored.read(maker, HIDDEN) is not None or not maker.visible_get(view_layer=layer):
             continue
         own = [o for o in made if real.maker_of(o) == maker]
+        if all(map(real.is_whole, own)) and _makes_more(maker, layer):
+            continue
         _set_resting(own, False)
         layer.update()
         _hide(maker, own[0], scene, layer)
         if stored.read(maker, HIDDEN) is None:
             _set_resting(own, True)
     layer.update()
+
+
+def _makes_more(obj: bpy.types.Object, layer: bpy.types.ViewLayer) -> bool:
+    """Whether `obj`, which is no mesh, makes instances beside its own surface, which would be hidden with it."""
+    if not real.may_make(obj):
+        return False
+    made = (i for i in layer.depsgraph.object_instances if i.is_instance and i.parent is not None)
+    return any(i.parent.original == obj and i.object.original != obj for i in made)
 
 
 def _set_resting(objects: list[bpy.types.Object], resting: bool) -> None:

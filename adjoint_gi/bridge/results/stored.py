@@ -17,7 +17,7 @@ import bpy
 RESULTS = "adjoint_gi_results"  # of objects: a group for each result, see `links`
 MADE = "adjoint_gi_made"  # of objects that a bake has made to hold its result
 STATE = "adjoint_gi_preview"  # of objects that show a result: their slots before
-REAL = "adjoint_gi_instance"  # of objects that a bake has made of instances: which one, who made it, and a checksum of the mesh
+REAL = "adjoint_gi_instance"  # of objects that a bake has made of instances or of what is no mesh: of which, and a checksum of the mesh
 REALS = "adjoint_gi_instances"  # of the collection that holds them
 HIDDEN = "adjoint_gi_hidden"  # of objects that were hidden for a preview: where, in favour of which, and what was selected
 ATTRIBUTES = "adjoint_gi_attributes"  # of meshes: key -> JSON list of our attributes
@@ -170,6 +170,7 @@ def _is_real(value: Any) -> bool:
         and isinstance(value.get("sum"), str)
         and isinstance(value.get("sheared"), bool | int)
         and isinstance(value.get("maker"), bpy.types.Object | None)
+        and isinstance(value.get("kind", ""), str)
     )
 
 
