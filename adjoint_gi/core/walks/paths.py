@@ -27,8 +27,9 @@ from ..scene.world import World
 from .path_limit import FAINT, block_of, longest
 
 NEVER = 1 << 30  # as `Walk.roulette_from`: no path is as long, so roulette is off
-LATE = 8  # segments from which vertices without light are counted
+LATE = 4  # segments from which vertices without light are counted
 DARK = 32  # vertices without light in a row after which a path is taken for a lost one
+FEW = 1 / 16  # of the paths; where no more are left, half of these vertices are enough, since steps cost as much for a few as for many
 
 
 def by_weight(strength: np.ndarray) -> np.ndarray:
@@ -41,15 +42,15 @@ def by_root(strength: np.ndarray) -> np.ndarray:
     return np.minimum(np.sqrt(strength), ONE)
 
 
-def in_the_dark(dark: np.ndarray, most: np.ndarray) -> np.ndarray:
+def in_the_dark(dark: np.ndarray, most: np.ndarray, after: int) -> np.ndarray:
     """(n,) float32 chance to go on of paths that have found no light at the last `dark` (n,) vertices, after `most` (n,) at their worst.
 
-    Between white walls of closed bodies nothing else ends paths. Of those that find no light at s vertices in a row (DARK / s)^4 go on,
-    with weights that grow as the inverse. Only a longest row so far costs anything, so a weight never grows by more than that power of
-    the length: the estimate has a finite variance wherever light falls with length geometrically.
+    Between white walls of closed bodies nothing else ends paths. Of those that find no light at s > `after` vertices in a row
+    (after / s)^4 go on, with weights that grow as the inverse. Only a longest row so far costs anything, so a weight never grows by more
+    than that power of the length: the estimate has a finite variance wherever light falls with length geometrically.
     """
     row = np.maximum(dark, 1).astype(np.float32)
-    return np.where((dark > DARK) & (dark > most), ((row - 1) / row) ** 4, ONE)
+    return np.where((dark > after) & (dark > most), ((row - 1) / row) ** 4, ONE)
 
 
 def russian_roulette(
@@ -305,7 +306,8 @@ class Paths:
             self.carried |= {name: np.zeros(len(self.row), np.int32) for name in ("dark", "darkest")}
         dark, most = self.carried["dark"], self.carried["darkest"]
         dark += 1
-        chance = in_the_dark(dark.take(rows), most.take(rows))
+        few = len(rows) < FEW * self.direct.shape[1]
+        chance = in_the_dark(dark.take(rows), most.take(rows), DARK // 2 if few else DARK)
         np.maximum(most, dark, out=most)
         return lambda strength: np.minimum(self.walk.survival(strength), chance)
 
