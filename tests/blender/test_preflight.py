@@ -72,6 +72,18 @@ def test_1_empty_scene():
         Bake(bpy.context, request())
 
 
+def test_a_scene_of_instances_alone_says_how_they_are_baked():
+    lamp()
+    inner = bpy.data.collections.new("Furniture")
+    mesh = bpy.data.meshes.new("Chair")
+    mesh.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
+    inner.objects.link(bpy.data.objects.new("Chair", mesh))
+    maker = linked("Maker", None)
+    maker.instance_type, maker.instance_collection = "COLLECTION", inner
+    (error,) = errors()
+    assert error.reason == "has faces to bake in instances only" and "--instances" in error.remedy
+
+
 def test_2_only_lights_refuses_a_lightmap_and_gives_a_black_picture(tmp_path):
     lamp()
     notices = said()

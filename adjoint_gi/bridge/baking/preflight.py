@@ -191,8 +191,17 @@ def _of_objects(world: World, request: BakeRequest, receivers: list[int]) -> lis
     if not request.objects:
         notices += _instances(arrays, request)
     if not receivers and not request.objects and not any(n.severity == "error" for n in notices):
-        notices.append(Notice("Scene", "has no mesh object with faces to bake", "Add one, or show one in renders", "error"))
+        notices.append(_nothing_to_bake(arrays))
     return notices
+
+
+def _nothing_to_bake(arrays: SceneArrays) -> Notice:
+    """That no object can receive, and what would."""
+    if any(o.instance for o in arrays.objects):
+        reason, remedy = "has faces to bake in instances only", "Turn on Bake Instances (--instances)"
+    else:
+        reason, remedy = "has no mesh object with faces to bake", "Add one, or show one in renders"
+    return Notice("Scene", reason, remedy, "error")
 
 
 def _of_arrays(world: World, request: BakeRequest, receivers: list[int], sides: np.ndarray) -> list[Notice]:
