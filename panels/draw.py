@@ -275,6 +275,7 @@ def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     table(layout, context, rows)
     warnings = [i.notice() for i in record.notices if i.severity != "info" and i.notice() not in shown]
     boxed(layout, context, warnings)
+    given(layout, context, record)
     for path in paths:
         text.label(layout, context, path, "FILE_IMAGE")
     if record.target != "render":
@@ -282,6 +283,18 @@ def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         row.operator("adjoint_gi.show_result")
         row.operator("adjoint_gi.restore")
     layout.operator("adjoint_gi.clear_results")
+
+
+def given(layout: bpy.types.UILayout, context: bpy.types.Context, record: bpy.types.PropertyGroup) -> None:
+    """What objects got of the lightmaps, folded: texels a metre and, where several share an image, their share of it."""
+    parts = record.lightmaps()
+    if not parts:
+        return
+    header, body = layout.panel("ADJOINTGI_given", default_closed=True)
+    shared = any(share < 1.0 for _, _, share in parts)
+    header.label(text="Texels per Metre" + (", Share of Image" if shared else ""))
+    if body:
+        table(body, context, [(name, f"{density:.3g}" + (f", {100 * share:.3g} %" if shared else "")) for name, density, share in parts])
 
 
 def table(layout: bpy.types.UILayout, context: bpy.types.Context, rows: list[tuple[str, str]]) -> None:

@@ -10,10 +10,12 @@ from adjgi.adjoint_gi.bridge.baking import report
 from adjgi.adjoint_gi.bridge.baking.bake import Bake, preflight, rehearse
 from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
 from adjgi.adjoint_gi.bridge.cli import main as cli
+from adjgi.adjoint_gi.bridge.comparison.request import Compare, CompareRequest, ReferenceChoice
 from adjgi.adjoint_gi.bridge.results import real, stored
 from adjgi.adjoint_gi.bridge.results import show as results
 from adjgi.adjoint_gi.bridge.results.attribute import linked_attribute
 from adjgi.adjoint_gi.bridge.results.image import linked_image
+from adjgi.adjoint_gi.bridge.results.lightmap_uv import own_layer
 from adjgi.adjoint_gi.bridge.results.remove import remove_results
 from adjgi.adjoint_gi.core.base.errors import AdjointError
 from adjgi.tests import baking, room
@@ -278,6 +280,52 @@ def test_a_curve_that_makes_instances_stays_where_only_it_is_baked(registered):
     bpy.context.scene.adjoint_gi.result.target, bpy.context.scene.adjoint_gi.result.quantity = "texture", "irradiance"
     results.show(bpy.context.scene)
     assert "Host" in visible() and "Host GI" not in visible()
+
+
+def test_a_comparison_has_them_baked_by_cycles():
+    """Where each stands in for what it was made of, which would shadow it."""
+    if not hasattr(bpy.types.Scene, "cycles"):
+        pytest.skip("this Blender has no Cycles")
+    build()
+    paint = bpy.data.materials.new("Paint")
+    if paint.node_tree is None:
+        paint.use_nodes = True
+    for name in (*WHOLE, "floor"):
+        bpy.data.objects[name].data.materials.append(paint)
+    bpy.context.view_layer.update()
+    before = user_data()
+    made = Compare(bpy.context, CompareRequest(("path_tracing",), reference=ReferenceChoice("cycles", samples=8), resolution=16))
+    reference = made.driver.solver.reference
+    mean = {s.name: reference.values[s.part][reference.valid[s.part]].mean() for s in made.sheets}
+    assert set(mean) == {*WHOLE, "floor"} and not made.notices
+    assert all(mean[name] == pytest.approx(SUN, rel=0.01) for name in ("Text", "Cable", "Twin"))
+    assert 0.1 * SUN < mean["Ball"] < 0.7 * SUN < mean["Sheet"] < SUN
+    clear()
+    assert user_data() == before
+
+
+@pytest.mark.parametrize("instances", [False, True])
+def test_renew_makes_the_uvs_of_what_a_bake_makes_objects_of(registered, instances):
+    props = collection("props", in_scene=False)
+    leaf = bpy.data.objects.new("leaf", bpy.data.meshes.new("leaf"))
+    leaf.data.from_pydata(*SQUARE[:1], [], SQUARE[1])
+    props.objects.link(leaf)
+    empty("place", props).location.x = 9.0
+    strip()
+    add_light("SUN", energy=SUN, angle=0.0, location=(0, 0, 9))
+    state = quick(bpy.context.scene, "path_tracing")
+    state.resolution, state.selection_only, state.instances = 16, False, instances
+    names = {"Cable GI", "leaf[place.0]"} if instances else {"Cable GI"}
+    assert bpy.ops.adjoint_gi.renew_uvs() == {"FINISHED"}
+    made = real.objects_of(bpy.context.scene)
+    assert {o.name for o in made} == names and all(own_layer(o) for o in made)
+    assert bpy.ops.adjoint_gi.bake() == {"FINISHED"}
+    for obj in made:
+        obj.data.uv_layers[own_layer(obj)].uv.foreach_set("vector", np.zeros(2 * len(obj.data.loops), np.float32))
+    assert bpy.ops.adjoint_gi.renew_uvs() == {"FINISHED"}
+    assert real.objects_of(bpy.context.scene) == made
+    assert all(np.ptp([tuple(x.vector) for x in o.data.uv_layers[own_layer(o)].uv]) > 0.3 for o in made)
+    BAKES.forget()
 
 
 def test_damaged_properties_of_ours_count_as_absent():

@@ -31,6 +31,7 @@ class FakeBake:
 
     refuse = None  # an error that the next write raises
     in_blend = ()  # datablocks that are written all the same
+    given = ()
 
     def __init__(self, context, request, now=True):
         self.request = request

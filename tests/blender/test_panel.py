@@ -10,6 +10,7 @@ from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
 from adjgi.adjoint_gi.bridge.host import background
 from adjgi.adjoint_gi.bridge.props import properties, records
 from adjgi.adjoint_gi.core.base.errors import Notice
+from adjgi.adjoint_gi.core.flux.density import Given
 from adjgi.adjoint_gi.core.method import registry
 from adjgi.panels import draw, text, view3d
 from adjgi.tests.blender.fakes import Fake, FakeSettings, fake_method, square
@@ -245,6 +246,23 @@ def test_result_shows_its_numbers(state):
     for word in ("3.00 billion", "10 W", "8 W", "1.9 W", "1 %", "Material Fake: is not real", "Partial result"):
         assert word in layout.words
     assert {"adjoint_gi.show_result", "adjoint_gi.restore", "adjoint_gi.clear_results"} == set(layout.names("operator"))
+
+
+def test_what_was_given_to_whom_is_listed(state):
+    solution = next(Fake().solve(None, type("R", (), {"count": 3, "measure": "irradiance"}), FakeSettings(), None)).solution()
+    what = {"target": "texture", "quantity": "direct", "applied": True}
+    parts = [Given("Ground", 100, 1.25, 0.2, 0.04), Given("Floor", 400, 31.5, 0.8, 1.0)]
+    records.store(state.result, solution, **what, given=parts)
+    assert state.result.lightmaps() == [("Floor", 31.5, 0.8), ("Ground", 1.25, 0.2)]
+    names = drawn(draw.result).names("label")
+    assert names[names.index("Texels per Metre, Share of Image") + 1 :][:4] == ["Floor", "31.5, 80 %", "Ground", "1.25, 20 %"]
+    state.result.given = '[["Floor", "many"'
+    assert state.result.lightmaps() == [] and "Texels per Metre" not in drawn(draw.result).words
+    records.store(state.result, solution, **what, given=[Given("Cube", 9, 3.0, 1.0, 1.0)])
+    names = drawn(draw.result).names("label")
+    assert names[names.index("Texels per Metre") + 1 :][:2] == ["Cube", "3"]
+    records.clear(state.result)
+    assert state.result.given == ""
 
 
 def test_a_kept_result_is_told_once(state, monkeypatch, tmp_path):

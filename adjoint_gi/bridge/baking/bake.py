@@ -13,13 +13,14 @@ Everything here belongs on the main thread; only the driver's own thread compute
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
 
 from ...core.base.errors import AdjointError, Notice, SceneError, TargetError
+from ...core.flux.density import Given
 from ...core.method.driver import Driver
 from ...core.method.solution import Solution
 from ...core.scene.arrays import SceneArrays
@@ -81,9 +82,19 @@ class Bake:
         self.request, self.writer, self.driver = built.writer.request, built.writer, built.driver
         self.notices = [n for n in ordered(said) if n.severity != "error"]
 
+    @property
+    def given(self) -> Sequence[Given]:
+        """What each object got of the lightmaps; empty for other targets."""
+        return self.writer.given
+
     def take_back(self) -> None:
         """Remove what was made on the objects for a bake that is refused or ends without a result; after a `write` it stays."""
         self._undo.close()
+
+    def keep(self) -> None:
+        """What was made on the objects stays from now on, and what it has replaced goes."""
+        self._undo.pop_all()
+        self._real.settle()
 
     def write(self, solution: Solution) -> list[str]:
         """Write `solution` where it was asked for and read it back; returns the names of datablocks and paths of files.
@@ -91,8 +102,7 @@ class Bake:
         While the driver runs, only datablocks are refreshed. A partial result is labelled so, in file names too. Raises
         `TargetError` or `WriteError`; where only the files failed, the datablocks are written all the same, and `written` names them.
         """
-        self._undo.pop_all()
-        self._real.settle()
+        self.keep()
         live = self.driver.state == "running"
         wanted = not live and (self.request.output or self.writer.needs_folder)
         self.written, self.files, self.writer.notices = [], [], []

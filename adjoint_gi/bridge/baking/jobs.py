@@ -115,7 +115,7 @@ class BakeJob(PreparedJob):
             notices = dict.fromkeys([*problems, *self.bake.notices, *solution.warnings])
             record = scene.adjoint_gi.result
             what = {name: getattr(self.request, name) for name in ("target", "quantity", "new_object")}
-            records.store(record, solution, **what, applied=applied, files=files, notices=notices)
+            records.store(record, solution, **what, applied=applied, files=files, notices=notices, given=self.bake.given)
         if complete:
             self.solution = None
         if applied:

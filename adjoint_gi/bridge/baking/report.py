@@ -55,7 +55,7 @@ def of_bake(bake: Bake) -> dict[str, Any]:
             "lights": len(scene.lights),
             "receivers": driver.receivers.count,
         },
-        "lightmaps": [asdict(part) for part in getattr(bake.writer, "given", ())],
+        "lightmaps": [asdict(part) for part in bake.given],
         "written": list(bake.written),
         "files": list(bake.files),
         "notices": [as_dict(n) for n in bake.notices],

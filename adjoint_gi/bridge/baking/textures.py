@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -42,7 +43,8 @@ from ..results.lightmap_uv import (
 )
 from ..results.show import unhidden
 from . import outputs
-from .preflight import look, receiving, resolutions
+from .instances import make
+from .preflight import receiving, resolutions, resolve
 from .sides import multiplier, note, side_of, unfit, unwrapping_to_density
 from .writer import Prepared, Writer, find_objects
 
@@ -185,14 +187,21 @@ class TextureWriter(Writer):
 
 
 def renew(context: bpy.types.Context, request: BakeRequest) -> tuple[int, list[Notice]]:
-    """Make our UV layers of what `request` means anew, without a bake; returns the number of objects and what there is to say.
+    """Make our UV layers of what `request` means anew, without a bake, also of the instances and curves that a bake makes objects of.
 
+    Returns the number of objects and what there is to say.
     Objects that show a result get their materials back, because it does not fit the new layers. Raises `AdjointError`.
     """
-    raise_first(look(context, request))
-    world = World(extract(context.evaluated_depsgraph_get(), context.scene))
-    indices = receiving(world.scene, request)
-    made = finish_stages(_preparing(replace(request, renew_uvs=True), world, indices, lambda: None))
+    request, found = resolve(context, request)
+    raise_first(found)
+    with contextlib.ExitStack() as undo:
+        real = make(context, request)
+        undo.push(real.undo)
+        world = World(extract(context.evaluated_depsgraph_get(), context.scene, real=real.objects))
+        indices = receiving(world.scene, request)
+        made = finish_stages(_preparing(replace(request, renew_uvs=True), world, indices, lambda: None))
+        undo.pop_all()
+    real.settle()
     preview.restore([_object(world, i) for i in indices])
     return len(indices), made.notices if made is not None else []
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import abc
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import bpy
 
 from ...core.base.errors import Notice, TargetError
 from ...core.base.text import json_text
+from ...core.flux.density import Given
 from ...core.method.solution import Solution
 from ...core.receivers.base import Receivers
 from ...core.scene.world import World
@@ -32,12 +33,14 @@ class Writer(abc.ABC):
     """Places the receivers of one bake of `world`, and writes solutions for them.
 
     receivers   where the solve has to answer
+    given       what each object got of the lightmaps, if they are textures
     notices     what was found while placing or writing
     """
 
     is_last = True  # whether what is written next is the end of the bake, and not shown for the time being
     needs_folder = False  # whether the result is nothing but files
 
+    given: Sequence[Given] = ()
     receivers: Receivers
 
     def __init__(self, context: bpy.types.Context, request: BakeRequest, world: World) -> None:

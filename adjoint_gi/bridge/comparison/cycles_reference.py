@@ -24,6 +24,7 @@ from ..baking.textures import Sheet
 from ..baking.writer import find_objects
 from ..host.versions import uses_nodes
 from ..results.image import read_pixels
+from ..results.real import in_place
 
 FEW = 0.25  # share of texels on one triangle below which those on one plane serve too
 HALVES = 2  # bakes with different seeds, whose difference gives the noise
@@ -57,9 +58,9 @@ def bake_reference(
     values = np.zeros((HALVES, count, 3))
     valid = np.zeros(count, bool)
     notices: list[Notice] = []
-    with _cycles(context.scene, max_length):
-        for sheet in sheets:
-            obj = find_objects(sheet.uids, sheet.name)[0]
+    objects = [find_objects(sheet.uids, sheet.name)[0] for sheet in sheets]
+    with _cycles(context.scene, max_length), in_place(objects, context.view_layer):
+        for obj, sheet in zip(objects, sheets, strict=True):
             problem = _problem(obj)
             if problem:
                 notices.append(Notice(obj.name, f"{problem}, so Cycles cannot bake it and it has no reference", "", "warning"))

@@ -110,7 +110,7 @@ class Compare:
     """See the head of this file. `notices` were found before the run."""
 
     def __init__(self, context: bpy.types.Context, request: CompareRequest, now: bool = True) -> None:
-        """Raises `AdjointError` when it is refused. May make lightmap UV layers, as a bake does, and nothing else.
+        """Raises `AdjointError` when it is refused. May make lightmap UV layers and objects for curves, as a bake does.
 
         Without `now` only what can be seen at once is looked at, and the caller has to run `preparing` before anything else.
         """
@@ -138,6 +138,7 @@ class Compare:
         except BaseException:
             self.bake.take_back()
             raise
+        self.bake.keep()
         world, receivers = self.bake.driver.world, self.bake.driver.receivers
         self.driver = Driver(Comparison(reference), world, receivers, self.plan)
 

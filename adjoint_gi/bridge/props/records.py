@@ -3,15 +3,19 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 
 import bpy
 
 from ...core.base.errors import AdjointError, Notice
+from ...core.base.text import json_text
+from ...core.flux.density import Given
 from ...core.method.solution import Solution
 
 __all__ = ["AdjointError", "Notice", "clear", "store"]  # operators and panels may not import the core
 
+ROWS = 100  # objects of which is kept what they were given
 SEVERITIES = (("info", "Info", "", 0), ("warning", "Warning", "", 1), ("error", "Error", "", 2))
 
 
@@ -49,6 +53,14 @@ class ADJOINTGI_PG_result(bpy.types.PropertyGroup):
     applied: bpy.props.BoolProperty(default=True, description="The result was written to the objects")
     notices: bpy.props.CollectionProperty(type=ADJOINTGI_PG_notice)
     files: bpy.props.StringProperty(description="Files written, one a line")
+    given: bpy.props.StringProperty(description="JSON list of what objects got of the lightmaps: name, texels a metre, share of the image")
+
+    def lightmaps(self) -> list[tuple[str, float, float]]:
+        """Name, texels a metre and share of its image of each object, the most texels first; empty where nothing sound is stored."""
+        try:
+            return [(str(name), float(density), float(share)) for name, density, share in json.loads(self.given or "[]")]
+        except (TypeError, ValueError, RecursionError):
+            return []
 
 
 def store(
@@ -61,13 +73,16 @@ def store(
     new_object: bool = False,
     files: Iterable[str] = (),
     notices: Iterable[Notice] = (),
+    given: Iterable[Given] = (),
 ) -> None:
-    """Put the numbers of `solution` and `notices` into `record`."""
+    """Put the numbers of `solution`, what objects were `given` of the lightmaps and `notices` into `record`."""
     clear(record)
     record.method, record.target, record.quantity = solution.method, target, quantity
     record.seconds, record.rays, record.partial = solution.seconds, str(int(solution.rays)), solution.partial
     record.applied, record.new_object = applied, new_object
     record.files = "\n".join(files)
+    most = sorted(given, key=lambda part: -part.texels)[:ROWS]
+    record.given = json_text([[part.object, round(part.texels_per_metre, 6), round(part.share, 6)] for part in most]) if most else ""
     if solution.balance is not None:
         b = solution.balance
         record.has_balance = True

@@ -9,8 +9,9 @@ is an instance of the mesh it evaluates to, made by itself; the property says wh
 
 from __future__ import annotations
 
+import contextlib
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 
 import bpy
 import numpy as np
@@ -127,6 +128,23 @@ def _name_and_number(obj: bpy.types.Object) -> tuple[str, int]:
 def may_make(obj: bpy.types.Object) -> bool:
     """Whether an object that is no mesh can have instances."""
     return obj.is_instancer or any(m.type == "NODES" for m in obj.modifiers)
+
+
+@contextlib.contextmanager
+def in_place(objects: Sequence[bpy.types.Object], view_layer: bpy.types.ViewLayer) -> Iterator[None]:
+    """Those of `objects` that were made of whole objects stand for these in renders for a while, as for a bake by Cycles."""
+    whole = [o for o in objects if is_whole(o) and maker_of(o) is not None]
+    shown = [(o, o.hide_render, o.hide_viewport) for o in (*whole, *map(maker_of, whole))]
+    try:
+        for obj in whole:
+            obj.hide_render = obj.hide_viewport = False
+            maker_of(obj).hide_render = True
+        view_layer.update()
+        yield
+    finally:
+        for obj, render, viewport in shown:
+            obj.hide_render, obj.hide_viewport = render, viewport
+        view_layer.update()
 
 
 def rest(scene: bpy.types.Scene) -> None:
