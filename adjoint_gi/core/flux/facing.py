@@ -21,6 +21,7 @@ from .density import through_picture
 
 PARTICLES = 16384  # of each kind
 LENGTH = 4  # segments a particle is followed
+CLOSED = 1e-3  # share of the area of a body that its area vectors may leave
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,15 +62,36 @@ def _arrivals(world: World, start: Particles | None, rng: np.random.Generator, i
 def _by_back(world: World, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(nt,) bool: the back is met, and the front hardly; and (nt,) bool: enough arrived to tell. `sides` as of `_arrivals`.
 
-    Triangles with few arrivals follow their objects.
+    Triangles with few arrivals follow their objects. Small objects have few as well: where all are at one side, a few are enough, and
+    any where that is the outside of a body.
     """
     owner, objects = world.scene.object, len(world.scene.objects)
     total = sides.sum(axis=0)
-    of_object, back_of_object = (np.bincount(owner, counts, objects)[owner] for counts in (total, sides[1]))
+    of_object, back_of_object = (np.bincount(owner, counts, objects) for counts in (total, sides[1]))
+    all_back = (of_object > 0) & (back_of_object == of_object)
+    agreed = (of_object >= ENOUGH) & (all_back | (back_of_object == 0))
+    told = (of_object >= MIN_ARRIVALS) | agreed | (all_back & _inside_out(world))
     own = total >= ENOUGH
-    known = own | (of_object >= MIN_ARRIVALS)
-    back = np.where(own, sides[1] >= DARK * total, back_of_object >= DARK * of_object)
+    known = own | told[owner]
+    back = np.where(own, sides[1] >= DARK * total, (back_of_object >= DARK * of_object)[owner])
     return back & known, known
+
+
+def _inside_out(world: World) -> np.ndarray:
+    """(objects,) bool: closed bodies whose fronts look inwards: area vectors that cancel out, and a negative volume."""
+    owner, objects = world.scene.object, len(world.scene.objects)
+
+    def of_objects(values: np.ndarray) -> np.ndarray:
+        return np.bincount(owner, values, objects)
+
+    corner = world.rows[:, :9].astype(np.float64).reshape(-1, 3, 3)  # a corner and the two edges from it
+    vector = 0.5 * np.cross(corner[:, 1], corner[:, 2])
+    area = of_objects(np.linalg.norm(vector, axis=1))
+    net = np.stack([of_objects(vector[:, k]) for k in range(3)], axis=1)
+    middle = corner[:, 0] + (corner[:, 1] + corner[:, 2]) / 3
+    centre = np.stack([of_objects(middle[:, k]) for k in range(3)], axis=1) / np.maximum(of_objects(np.ones(len(owner))), 1)[:, None]
+    volume = of_objects(np.einsum("ij,ij->i", middle - centre[owner], vector)) / 3
+    return (np.linalg.norm(net, axis=1) < CLOSED * area) & (volume < -(CLOSED**2) * area**1.5)
 
 
 def _notices(world: World, back: np.ndarray) -> list[Notice]:
