@@ -908,6 +908,27 @@ BUGS = (
         "histogram(errors, labels, limit)",
         "tests/blender/test_numbers_told.py -k pictures_of",
     ),
+    Bug(
+        "weight of paths that survive in the dark stays as it was",
+        "adjoint_gi/core/walks/paths.py",
+        "            weight = weight.take(survive, axis=1) / chance",
+        "            weight = weight.take(survive, axis=1) / walk.survival(strength.take(survive))",
+        "tests/methods/test_path_tracing.py -k find_late",
+    ),
+    Bug(
+        "small bodies turned inside out are baked inside",
+        "adjoint_gi/core/flux/facing.py",
+        " | agreed | (all_back & _inside_out(world))",
+        "",
+        "tests/methods/test_baked_sides.py -k small_body",
+    ),
+    Bug(
+        "crossed faces stay crossed",
+        "adjoint_gi/core/receivers/projection.py",
+        "        if ring is not None:",
+        "        if ring is None:",
+        "tests/core/test_unwrap.py -k crossed",
+    ),
 )
 
 
