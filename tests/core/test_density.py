@@ -60,6 +60,16 @@ def test_weights_are_those_of_the_potential():
     assert np.all(weights(np.zeros(3), np.ones(3)) == 1)
 
 
+def test_a_landscape_behind_a_window_leaves_the_room_its_texels():
+    """Of a motel room mountains and desert got 95 % of the image and the room 66 texels: they have half of the importance, and its area
+    5,000 times. What is not seen at all gets no more than a tenth, however large it is."""
+    importance, area = np.array([0.37, 0.16, 0.29, 0.18]), np.array([193_000.0, 303_000.0, 91.0, 60.0])
+    texels = area * weights(importance, area) ** 2
+    assert texels[2] > 0.25 * texels.sum() > 0.4 * texels[0]
+    texels = np.array([1e6, 10, 10]) * weights(np.array([0, 0.5, 0.5]), np.array([1e6, 10, 10])) ** 2
+    assert 0 < texels[0] < 0.1 * texels.sum()
+
+
 def test_the_same_whatever_the_number_of_threads(monkeypatch):
     world, all_weights = a_room(camera=CLOSE_UP), []
     for threads in ("1", "3"):

@@ -22,10 +22,11 @@ from .detectors import CameraDetector
 
 PARTICLES = 16384  # of each kind
 LENGTH = 3  # segments a particle is followed
-LEAST = 1 / 32  # of the density of what is seen best: nothing goes empty
+LEAST = 1 / 32  # of the density of what is seen best: nothing goes empty,
+SPARE = 0.1  # unless what is seen so little would get more than this beside the texels of the others
 FULL_IMAGES = 16  # objects that each get an image of the full resolution, or as many texels for more of them
 SMALLEST = 16  # texels a side of an image of its own
-TYPICAL = 0.5  # share of the importance that arrives where the potential is no higher than what gets the full density
+TYPICAL = 0.75  # share of the importance that arrives where the potential is no higher than what gets the full density
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +53,18 @@ def seen(world: World, particles: int = PARTICLES) -> SeenObjects:
 
 
 def weights(importance: np.ndarray, area: np.ndarray) -> np.ndarray:
-    """(n,) float64 densities by `importance` and `area` (n,): as the root of the potential, up to the typical one, and not below LEAST."""
+    """(n,) float64 densities by `importance` and `area` (n,): as the root of the potential, up to the typical one, and not below LEAST.
+
+    A landscape behind a window has 10,000 times the area of the room, and LEAST of its density would be most of the image.
+    """
     if not importance.sum() > 0:
         return np.ones(len(area))
     potential = importance / np.maximum(area, 1e-300)
     order = np.argsort(potential, kind="stable")
     typical = potential[order][np.searchsorted(np.cumsum(importance[order]), TYPICAL * importance.sum())]
-    return np.clip(np.sqrt(potential / typical), LEAST, 1.0)
+    weight = np.minimum(np.sqrt(potential / typical), 1.0)
+    least = np.sqrt(SPARE * float((area * weight**2).sum()) / max(float(area.sum()), 1e-300))
+    return np.maximum(weight, min(LEAST, least))
 
 
 def _arriving(world: World, start: Particles, rng: np.random.Generator) -> np.ndarray:
