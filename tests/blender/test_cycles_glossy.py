@@ -306,4 +306,8 @@ def test_light_passes_transparent_surfaces(radius, sheets):
     render.resolution_x, render.resolution_y, render.resolution_percentage = SIZE, SIZE, 100
     bpy.context.view_layer.update()
     world = World(extract(bpy.context.evaluated_depsgraph_get()))
-    assert our_picture(world, 0).mean() == pytest.approx(cycles_picture(0).mean(), rel=0.01)
+    ours, theirs = (np.array([picture(i).mean() for i in range(12)]) for picture in (lambda i: our_picture(world, i), cycles_picture))
+    # A picture through one sheet has no noise; of twelve means through mixed ones the standard error is 0.3 %.
+    error = np.sqrt((ours.var(ddof=1) + theirs.var(ddof=1)) / 12)
+    assert abs(ours.mean() - theirs.mean()) < 0.002 * theirs.mean() + 4 * error
+    assert error < 0.01 * theirs.mean()
