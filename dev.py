@@ -24,13 +24,18 @@ import tempfile
 import time
 import tomllib
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
-TOOLS = ("pytest==9.2.0", "ruff==0.17.6")
+TOOLS = ("pytest==9.2.0", "pytest-xdist==3.8.0", "ruff==0.17.6")
 PIP = ("-q", "--disable-pip-version-check", "--no-input")
 SECONDS = 3600  # limit of one test run
+# Whole suites run in several processes: many tests keep one core busy only. More than four would want more memory than they save time.
+PROCESSES = min(4, os.cpu_count() or 1)
+SIDE_BY_SIDE = ("-n", str(PROCESSES), "--dist", "worksteal") if PROCESSES > 1 else ()
 
 
 @dataclass(frozen=True)
@@ -62,13 +67,18 @@ def say(text: str) -> None:
     print(f"== {text}", flush=True)
 
 
-def run(command: Iterable[str | Path], seconds: float = SECONDS, **extra: str) -> int:
-    """Run a command from the repository root with `extra` added to the environment; returns its exit code, 124 when time ran out."""
+def run(command: Iterable[str | Path], seconds: float = SECONDS, output: Path | None = None, **extra: str) -> int:
+    """Run a command from the repository root with `extra` added to the environment; returns its exit code, 124 when time ran out.
+
+    What it prints goes to the file `output`, if one is named.
+    """
     words = [str(word) for word in command]
     say(" ".join(words))
     start = time.monotonic()
     try:
-        code = subprocess.run(words, cwd=ROOT, env=os.environ | extra, timeout=seconds, stdin=subprocess.DEVNULL).returncode
+        with nullcontext() if output is None else output.open("wb") as file:
+            options = {"cwd": ROOT, "env": os.environ | extra, "timeout": seconds, "stdin": subprocess.DEVNULL}
+            code = subprocess.run(words, stdout=file, stderr=file and subprocess.STDOUT, **options).returncode
     except subprocess.TimeoutExpired:
         code = 124
     say(f"{'stopped' if code == 124 else f'exit {code}'} after {time.monotonic() - start:.1f} s")
@@ -244,7 +254,7 @@ def test(arguments: list[str]) -> int:
     """Check the style of the whole repository, then run pytest in the extension mode; with arguments only what they name."""
     python = main_environment()
     codes = [] if arguments else [run([python, "-m", "ruff", *words, "."], 300) for words in (("check",), ("format", "--check"))]
-    codes.append(run([python, "tests/run.py", *arguments], ADJOINT_GI_EXTENSION="1"))
+    codes.append(run([python, "tests/run.py", *(arguments or SIDE_BY_SIDE)], ADJOINT_GI_EXTENSION="1"))
     if any(codes[:-1]):
         say("FAILED: ruff, see its message above")
     return max(codes)
@@ -261,7 +271,7 @@ def matrix(names: list[str]) -> int:
         for mode, *arguments in blender.runs:
             label = f"Blender {name} {'as extension' if mode else 'plain'}: {' '.join(arguments)}"
             say(label)
-            results[label] = run([python, "tests/run.py", *arguments], ADJOINT_GI_EXTENSION=mode)
+            results[label] = run([python, "tests/run.py", *arguments, *SIDE_BY_SIDE], ADJOINT_GI_EXTENSION=mode)
     for label, code in results.items():
         say(f"{'passed' if code == 0 else f'FAILED ({code})'}  {label}")
     return int(any(results.values()))
@@ -285,7 +295,35 @@ def in_blender(program: str, arguments: list[str]) -> int:
         if run([program, "--factory-startup", *install], 600, **extra):
             raise DevError(f"{package.name} could not be installed: see the message above")
         start = [program, "-b", "--factory-startup", "--python-exit-code", "1", "--python", "tests/run.py", "--"]
-        return run([*start, *(arguments or ["tests/blender", "tests/package"])], ADJOINT_GI_EXTENSION="installed", **extra)
+        extra["ADJOINT_GI_EXTENSION"] = "installed"
+        shares = [arguments] if arguments else shares_of(PROCESSES, "blender", "package")
+        return run_together([[*start, *share] for share in shares], extra, "BLENDER_USER_RESOURCES")
+
+
+def shares_of(count: int, *folders: str) -> list[list[str]]:
+    """The test files of `folders`, dealt out to `count` runs, the longest files first."""
+    files = [path for folder in folders for path in ROOT.joinpath("tests", folder).glob("test_*.py")]
+    files.sort(key=lambda path: (-path.stat().st_size, path.name))
+    return [[str(path.relative_to(ROOT)) for path in files[k::count]] for k in range(count)]
+
+
+def run_together(commands: list[list[str | Path]], extra: dict[str, str], own: str) -> int:
+    """Run commands side by side, each with a copy of the folder that `own` of the environment `extra` names; returns the worst exit code.
+
+    What the first prints is seen at once; what the others print, at the end.
+    """
+    with tempfile.TemporaryDirectory(prefix="adjoint_gi_runs_") as folder, ThreadPoolExecutor(len(commands)) as pool:
+        started = []
+        for k, command in enumerate(commands):
+            copy, output = Path(folder, f"folder{k}"), Path(folder, f"output{k}.txt") if k else None
+            shutil.copytree(extra[own], copy, symlinks=True)
+            started.append((output, pool.submit(run, command, output=output, **extra | {own: str(copy)})))
+        codes = []
+        for output, job in started:
+            codes.append(job.result())
+            if output is not None:
+                print(output.read_text(encoding="utf-8", errors="replace"), flush=True)
+    return max(codes, key=abs)
 
 
 def main(arguments: list[str]) -> int:

@@ -128,7 +128,7 @@ def furnace(share, tint=(1.0, 1.0, 1.0)):
 
 
 @pytest.mark.parametrize("share", [0.3, 0.8])
-@pytest.mark.parametrize("name", [*(GATHERING.keys() - {"whitted", "local_illumination"}), *ELEMENTS, *PARTICLES])
+@pytest.mark.parametrize("name", [*sorted(GATHERING.keys() - {"whitted", "local_illumination"}), *ELEMENTS, *PARTICLES])
 def test_cards_in_a_furnace_are_invisible(name, share):
     """Emission mixed with Transparent, both sides, several layers: radiance 1 everywhere, so pi on the floor and on the cards."""
     scene = furnace(share)
