@@ -113,7 +113,7 @@ BUGS = (
     Bug(
         "margin bleeds across charts",
         "adjoint_gi/core/receivers/margin.py",
-        "        nearer = np.where(column - a <= b - column, a, b)",
+        "        nearer = np.where(at - a <= b - at, a, b)",
         "        nearer = a",
         "tests/core/test_margin.py",
     ),
@@ -393,8 +393,8 @@ BUGS = (
     Bug(
         "margins prefer the right texel",
         "adjoint_gi/core/receivers/margin.py",
-        "np.where(column - a <= b - column, a, b)",
-        "np.where(column - a < b - column, a, b)",
+        "np.where(at - a <= b - at, a, b)",
+        "np.where(at - a < b - at, a, b)",
         "tests/core/test_margin.py -k ties",
     ),
     Bug(

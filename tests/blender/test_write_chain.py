@@ -8,7 +8,7 @@ import pytest
 from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from adjgi.adjoint_gi.bridge.results.attribute import write_attribute
 from adjgi.adjoint_gi.bridge.results.image import read_pixels, write_image
-from adjgi.adjoint_gi.core.receivers.margin import fill_margin
+from adjgi.adjoint_gi.core.receivers.margin import FilledImage
 from adjgi.adjoint_gi.core.receivers.texels import join, rasterize
 from adjgi.adjoint_gi.core.receivers.vertices import vertex_receivers
 from adjgi.adjoint_gi.core.scene.world import World
@@ -45,7 +45,8 @@ def test_texels_of_twins_hold_their_own_places():
     value = mean_position(world, both)
     images = []
     for obj, lm, stretch in zip((first, twin), maps, stretches, strict=True):
-        pixels, _ = fill_margin(lm.image(value[stretch]), lm.covered, 4)
+        filled = FilledImage.of((lm.height, lm.width), lm.pixel, np.ones(len(lm.pixel), bool), 4)
+        pixels = filled.image(value[stretch].astype(np.float32))
         images.append(write_image([obj], "irradiance", pixels, lm.share, uv_layer=name))
     assert images[0] != images[1]
     # The same texel of both images is the same point of the mesh, so one is the other moved by the twin's matrix.

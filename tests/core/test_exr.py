@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base import atomic
 from adjgi.adjoint_gi.core.base.errors import TargetError, WriteError
-from adjgi.adjoint_gi.core.images import exr, png
+from adjgi.adjoint_gi.core.images import exr, png, rows
+from adjgi.adjoint_gi.core.images.rows import LazyRows
 from adjgi.tests.exr_layers import read_exr
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -166,7 +167,8 @@ spec = importlib.util.spec_from_file_location("adjgi", {root!r} + "/__init__.py"
 sys.modules["adjgi"] = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(sys.modules["adjgi"])
 import numpy as np
-from adjgi.adjoint_gi.core.images import exr, png
+from adjgi.adjoint_gi.core.images import exr, png, rows
+from adjgi.adjoint_gi.core.images.rows import LazyRows
 from adjgi.adjoint_gi.core.base.errors import WriteError
 folder = Path({folder!r})
 noise = np.random.default_rng(0).random((256, 256, 3)).astype(np.float32)
@@ -196,18 +198,39 @@ def test_disk_that_fills_up_is_a_clear_error_and_keeps_the_old_file(tmp_path):
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
-def test_a_file_that_reads_back_differently_is_not_kept(tmp_path, monkeypatch):
-    real = exr.read_channels
+@pytest.mark.parametrize("place", [0, 60, -20, -1])
+def test_a_file_that_reads_back_differently_is_not_kept(tmp_path, monkeypatch, place):
+    real = exr.write_channels
 
-    def flipped(path):
-        channels, header = real(path)
-        channels["R"][0, 0] += 1
-        return channels, header
+    def flipped(path, *arguments):
+        written = real(path, *arguments)
+        data = bytearray(path.read_bytes())
+        data[place] ^= 1
+        path.write_bytes(data)
+        return written
 
-    monkeypatch.setattr(exr, "read_channels", flipped)
+    monkeypatch.setattr(exr, "write_channels", flipped)
     with pytest.raises(WriteError, match="did not read back"):
         exr.write_exr(tmp_path / "a.exr", np.ones((4, 4, 3), np.float32), folder=tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_layers_are_asked_for_a_few_rows_at_a_time(tmp_path, monkeypatch):
+    """Whatever the size of the image: no layer is in memory as a whole, and every row is made once."""
+    asked = []
+
+    def make(part):
+        asked.append((part.start, part.stop))
+        return np.broadcast_to(np.arange(part.start, part.stop, dtype=np.float32)[:, None, None], (part.stop - part.start, 40, 3))
+
+    image = LazyRows((200, 40, 3), make)
+    back = read_exr(exr.write_exr(tmp_path / "a.exr", image, {"direct": image}, folder=tmp_path))[0]
+    assert max(b - a for a, b in asked) <= 16 and sum(b - a for a, b in asked) == 2 * 200
+    assert np.array_equal(back["direct"][:, 7, 1], np.arange(200)) and np.array_equal(back[""], back["direct"])
+    asked.clear()
+    monkeypatch.setattr(rows, "PIXELS", 400)
+    png.write_png(tmp_path / "a.png", LazyRows((200, 40, 3), make), folder=tmp_path)
+    assert max(b - a for a, b in asked) == 10 and sum(b - a for a, b in asked) == 200
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])

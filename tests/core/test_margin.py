@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.receivers.margin import fill_margin
+from adjgi.adjoint_gi.core.receivers import margin
+from adjgi.adjoint_gi.core.receivers.margin import FilledImage, margin_source
+
+
+def fill_margin(image, covered, width):
+    """A copy of `image` with its margins filled, and the source of each pixel."""
+    source = margin_source(covered, width)
+    out = np.where((source >= 0)[..., None], image.reshape(-1, image.shape[2])[source], image)
+    return out, source
 
 
 def brute(covered, width):
@@ -62,3 +70,38 @@ def test_ties_go_to_the_lower_and_to_the_left_texel():
     covered[:] = False
     covered[[0, 2], [2, 4]] = True
     assert fill_margin(np.zeros((5, 5, 1), np.float32), covered, 3)[1][2, 2] == 14
+
+
+def test_an_image_of_receivers_shows_margins_and_gives_any_rows():
+    """As placing the values and filling the margins of the whole image would; texels without a sample count as not covered."""
+    rng = np.random.default_rng(1)
+    pixel = np.flatnonzero(rng.random(40 * 31) < 0.1)
+    sampled, values = rng.random(len(pixel)) < 0.7, rng.random((len(pixel), 3)).astype(np.float32)
+    filled = FilledImage.of((40, 31), pixel, sampled, 3)
+    has, whole = np.zeros(40 * 31, bool), np.zeros((40 * 31, 3), np.float32)
+    has[pixel[sampled]], whole[pixel] = True, values
+    want = fill_margin(whole.reshape(40, 31, 3), has.reshape(40, 31), 3)[0]
+    image = filled.image(values)
+    assert image.shape == (40, 31, 3) and np.array_equal(image[slice(0, 40)], want) and np.array_equal(image[slice(7, 9)], want[7:9])
+    assert np.array_equal(filled.sampled, has.reshape(40, 31))
+
+
+@pytest.mark.parametrize("rows", [1, 3, 7])
+def test_blocks_of_rows_know_what_lies_beyond_them(rows, monkeypatch):
+    covered = np.random.default_rng(2).random((40, 31)) < 0.02
+    whole = margin_source(covered, 6)
+    monkeypatch.setattr(margin, "PIXELS_PER_BLOCK", 31 * rows)
+    assert np.array_equal(margin_source(covered, 6), whole)
+
+
+def test_only_pixels_near_islands_are_looked_at(monkeypatch):
+    """A row far from every island costs nothing, and one beside an island is done when no farther row can be nearer."""
+    looked = []
+    real = margin._nearest
+    monkeypatch.setattr(
+        margin, "_nearest", lambda left, right, row, column, width: looked.append(len(row)) or real(left, right, row, column, width)
+    )
+    covered = np.zeros((200, 50), bool)
+    covered[:20] = True
+    margin_source(covered, 4)
+    assert looked == [4 * 50]

@@ -18,8 +18,9 @@ from ...core.flux.density import Given, given, seen
 from ...core.flux.facing import baked_sides
 from ...core.images.exr import write_exr
 from ...core.images.png import write_png
+from ...core.images.rows import LazyRows, with_alpha
 from ...core.method.solution import Solution
-from ...core.receivers.margin import fill_margin
+from ...core.receivers.margin import FilledImage
 from ...core.receivers.texels import Lightmap, join, rasterize
 from ...core.receivers.unwrap import Unwrapped
 from ...core.scene.world import World
@@ -61,14 +62,14 @@ class Sheet:
     part: slice
     uv_layers: tuple[str, ...]
 
-    def image(self, values: np.ndarray, weight: np.ndarray, margin: int) -> tuple[np.ndarray, np.ndarray]:
-        """Image (h, w, 3) float32 of `values` (n, 3) of all receivers, with its margin filled, and coverage (h, w) float32.
+    def filled(self, weight: np.ndarray, margin: int) -> FilledImage:
+        """What its image shows in each pixel, by `weight` (n,) of all receivers: texels without a sample yet count as not covered."""
+        shape = self.lightmap.height, self.lightmap.width
+        return FilledImage.of(shape, self.lightmap.pixel, weight[self.part] > 0, margin)
 
-        Texels without a sample yet (`weight` 0) count as not covered.
-        """
-        has = self.lightmap.image((weight[self.part] > 0).astype(np.float32))[..., 0] > 0
-        image, _ = fill_margin(self.lightmap.image(values[self.part]), has, margin)
-        return image, np.where(has, self.lightmap.share, np.float32(0))
+    def coverage(self, filled: FilledImage) -> LazyRows:
+        """(h, w) float32 share of each texel that lies on a surface, where it has a sample."""
+        return LazyRows(filled.sampled.shape, lambda rows: np.where(filled.sampled[rows], self.lightmap.share[rows], np.float32(0)))
 
     def given(self, world: World, group: list[int]) -> tuple[Given, ...]:
         """What each object of `group` (indices) got of the image."""
@@ -141,15 +142,13 @@ class TextureWriter(Writer):
         datablocks, paths = [], []
         for sheet in self.sheets:
             file = files.output_file(folder, outputs.stem(self.request, sheet.name, solution.partial), ".exr") if folder else None
-            image, coverage = sheet.image(solution.quantity(self.request.quantity), solution.weight, self.request.margin)
-            datablocks.append(f"image {self._write_datablock(sheet, image, coverage, solution, file).name}")
+            filled = sheet.filled(solution.weight, self.request.margin)
+            datablocks.append(f"image {self._write_datablock(sheet, filled, solution, file).name}")
             if folder:
-                paths += [file, *self._write_files(sheet, image, coverage, solution, folder)]
+                paths += [file, *self._write_files(sheet, filled, solution, folder)]
         return datablocks, paths
 
-    def _write_datablock(
-        self, sheet: Sheet, image: np.ndarray, coverage: np.ndarray, solution: Solution, file: Path | None
-    ) -> bpy.types.Image:
+    def _write_datablock(self, sheet: Sheet, filled: FilledImage, solution: Solution, file: Path | None) -> bpy.types.Image:
         """The image of the .blend file, which shows `file` where there is one; the objects' previews follow."""
         objects, quantity = find_objects(sheet.uids, sheet.name), self.request.quantity
         name = f"{sheet.name} {quantity}"
@@ -157,8 +156,8 @@ class TextureWriter(Writer):
         made = write_image(
             objects,
             quantity,
-            image,
-            coverage,
+            filled.image(solution.quantity(quantity)[sheet.part]),
+            sheet.coverage(filled),
             name=name,
             uv_layer=sheet.uv_layers[0],
             file=file,
@@ -172,17 +171,16 @@ class TextureWriter(Writer):
             self.notices.append(Notice(sheet.name, f'another image is called "{name}", so the result is in "{made.name}"', "", "info"))
         return made
 
-    def _write_files(self, sheet: Sheet, image: np.ndarray, coverage: np.ndarray, solution: Solution, folder: Path) -> list[Path]:
+    def _write_files(self, sheet: Sheet, filled: FilledImage, solution: Solution, folder: Path) -> list[Path]:
         """The EXR of all components, and the PNG to look at."""
         stem = outputs.stem(self.request, sheet.name, solution.partial)
-        layers = {"coverage": coverage}
-        for name in COMPONENTS:
-            layers[name] = sheet.image(getattr(solution, name), solution.weight, self.request.margin)[0]
+        values, coverage = solution.quantity(self.request.quantity)[sheet.part], sheet.coverage(filled)
+        image = filled.image(values)
+        layers = {"coverage": coverage} | {name: filled.image(getattr(solution, name)[sheet.part]) for name in COMPONENTS}
         parts = files.output_file(folder, stem + outputs.COMPONENTS, ".exr")
-        whole = np.concatenate([image, coverage[..., None]], axis=2)
-        write_exr(parts, whole, layers, folder=folder, metadata=self.metadata(solution))
-        picture = files.output_file(folder, stem, ".png")
-        write_png(picture, image * exposure(image[coverage > 0]), folder=folder)
+        write_exr(parts, with_alpha(image, coverage), layers, folder=folder, metadata=self.metadata(solution))
+        picture, factor = files.output_file(folder, stem, ".png"), exposure(values[solution.weight[sheet.part] > 0])
+        write_png(picture, LazyRows(image.shape, lambda rows: image[rows] * factor), folder=folder)
         return [parts, picture]
 
 

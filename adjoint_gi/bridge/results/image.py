@@ -8,9 +8,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...core.base.atomic import require_finite
+from ...core.base.atomic import require_none_bad
 from ...core.base.errors import TargetError, WriteError
 from ...core.images.exr import write_exr
+from ...core.images.rows import LazyRows, RowSource, blocks_of_rows, with_alpha
 from ...core.receivers.texels import Placement
 from ..host import files
 from . import links as targets
@@ -19,8 +20,8 @@ from . import links as targets
 def write_image(
     objects: Sequence[bpy.types.Object],
     key: str,
-    pixels: np.ndarray,
-    coverage: np.ndarray,
+    pixels: RowSource,
+    coverage: RowSource,
     *,
     name: str = "",
     uv_layer: str = "",
@@ -42,6 +43,7 @@ def write_image(
         raise TargetError("Image", "there is no object to link it to", "Select a mesh object")
     title = name or f"{objects[0].name} {key}"
     values = _rgba(title, pixels, coverage)
+    height, width = values.shape[:2]
     if file is not None:
         write_exr(file, values, folder=folder or file.parent)
 
@@ -49,7 +51,7 @@ def write_image(
     if image is not None and file is not None and image.packed_file is not None:
         image.unpack(method="REMOVE")
     if image is None:
-        image = bpy.data.images.new(title, values.shape[1], values.shape[0], alpha=True, float_buffer=True, is_data=True)
+        image = bpy.data.images.new(title, width, height, alpha=True, float_buffer=True, is_data=True)
     if file is None:
         _fill(image, values)
     else:
@@ -61,7 +63,7 @@ def write_image(
 
     # Believe nothing that was not read back.
     back = read_pixels(image)
-    if back is None or back.shape != values.shape or not np.array_equal(back.view(np.uint32), values.view(np.uint32)):
+    if back is None or back.shape != values.shape or not _same(back, values):
         raise WriteError(image.name, "does not hold the values that were written", "Check the memory and disk space, and bake again")
     for obj in objects:
         place = (placement or {}).get(obj.name, Placement())
@@ -94,29 +96,46 @@ def remove_images(objects: Sequence[bpy.types.Object], keys: Sequence[str] | Non
 
 def read_pixels(image: bpy.types.Image) -> np.ndarray | None:
     """(h, w, 4) float32 pixels, row 0 at the bottom, or None when the image holds none."""
-    width, height = image.size
-    if width == 0 or height == 0 or image.channels != 4 or len(image.pixels) != width * height * 4:
+    if not _has_pixels(image):
         return None
+    width, height = image.size
     out = np.empty(width * height * 4, np.float32)
     image.pixels.foreach_get(out)
     return out.reshape(height, width, 4)
 
 
-def _rgba(title: str, pixels: np.ndarray, coverage: np.ndarray) -> np.ndarray:
-    """(h, w, 4) float32 in one piece; raises WriteError when shapes disagree or a value is not finite."""
-    pixels, coverage = np.asarray(pixels, np.float32), np.asarray(coverage, np.float32)
-    if pixels.ndim != 3 or pixels.shape[2] != 3 or coverage.shape != pixels.shape[:2] or 0 in pixels.shape:
-        raise WriteError(title, f"pixels {pixels.shape} and coverage {coverage.shape} do not fit together", "Give (h, w, 3) and (h, w)")
-    values = np.ascontiguousarray(np.concatenate([pixels, coverage[..., None]], axis=2))
-    require_finite(title, values)
+def _has_pixels(image: bpy.types.Image) -> bool:
+    """Whether `read_pixels` finds any."""
+    width, height = image.size
+    return width > 0 and height > 0 and image.channels == 4 and len(image.pixels) == width * height * 4
+
+
+def _rgba(title: str, pixels: RowSource, coverage: RowSource) -> LazyRows:
+    """(h, w, 4) float32, made as it is asked for; raises WriteError when shapes disagree or a value is not finite."""
+    shape = pixels.shape
+    if len(shape) != 3 or shape[2] != 3 or tuple(coverage.shape) != tuple(shape[:2]) or 0 in shape:
+        raise WriteError(title, f"pixels {shape} and coverage {coverage.shape} do not fit together", "Give (h, w, 3) and (h, w)")
+    values = with_alpha(pixels, coverage)
+    require_none_bad(title, sum(int((~np.isfinite(values[rows])).sum()) for rows in blocks_of_rows(shape)))
     return values
 
 
-def _fill(image: bpy.types.Image, values: np.ndarray) -> None:
+def _same(back: np.ndarray, values: LazyRows) -> bool:
+    """Whether `back` (h, w, 4) float32 holds `values` bit for bit."""
+    parts = ((back[rows], np.asarray(values[rows], np.float32)) for rows in blocks_of_rows(values.shape))
+    return all(np.array_equal(a.view(np.uint32), b.view(np.uint32)) for a, b in parts)
+
+
+def _fill(image: bpy.types.Image, values: LazyRows) -> None:
     """Set size and pixels, and pack them into the .blend, where they are kept as a 32-bit OpenEXR."""
-    if tuple(image.size) != (values.shape[1], values.shape[0]):
-        image.scale(values.shape[1], values.shape[0])
-    image.pixels.foreach_set(values.ravel())
+    height, width = values.shape[:2]
+    if tuple(image.size) != (width, height):
+        image.scale(width, height)
+    whole = np.empty(values.shape, np.float32)
+    for rows in blocks_of_rows(values.shape):
+        whole[rows] = values[rows]
+    image.pixels.foreach_set(whole.ravel())
+    del whole
     image.update()
     image.pack()
 
@@ -125,13 +144,7 @@ def _existing(objects: Sequence[bpy.types.Object], key: str) -> bpy.types.Image 
     """The one image that exactly these objects have for `key`, if it can be written to; else None."""
     images = [linked_image(obj, key) for obj in objects]
     image = images[0]
-    if (
-        image is None
-        or any(other != image for other in images)
-        or not image.is_editable
-        or not image.is_float
-        or read_pixels(image) is None
-    ):
+    if image is None or any(other != image for other in images) or not image.is_editable or not image.is_float or not _has_pixels(image):
         return None
     outsiders = [o for o in bpy.data.objects if o not in objects and linked_image(o, key) == image]
     return None if outsiders else image

@@ -130,7 +130,11 @@ def _write_error(name: str, error: OSError) -> WriteError:
 
 def require_finite(name: str, values: np.ndarray) -> None:
     """Raise WriteError when `values` holds anything that is not a finite number."""
-    bad = int((~np.isfinite(values)).sum())
+    require_none_bad(name, int((~np.isfinite(values)).sum()))
+
+
+def require_none_bad(name: str, bad: int) -> None:
+    """Raise WriteError when `bad` values, which were counted as not finite, are any."""
     if bad:
         raise WriteError(
             name, f"{bad} values of the result are not finite numbers, so it is not written", "Report this scene and its settings"

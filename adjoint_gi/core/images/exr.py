@@ -1,9 +1,10 @@
 """OpenEXR files with 32-bit float channels: the picture as R, G, B, A and any further layers beside it.
 
-Files are coded by the OpenEXR wheel, or in plain numpy and zlib (scanlines, ZIP compression) where the wheel cannot be used. Its library
-exports its C functions (exr_start_write and 180 more). Where the program itself is linked to a shared OpenEXR of another version, the
-dynamic linker of Linux lets the program's functions take the place of the wheel's, and the first write ends the process (measured:
-Debian's Blender 4.3). `wheel_is_safe` asks beforehand; `write_channels`, `read_channels` and `read_strings` choose.
+Files are written in numpy and zlib (scanlines, ZIP compression), a few rows at a time: the OpenEXR wheel would want all channels of an
+image at once, a gigabyte for an atlas of 4096. They are read by the wheel, or in numpy where it cannot be used. Its library exports its C
+functions (exr_start_read and 180 more). Where the program itself is linked to a shared OpenEXR of another version, the dynamic linker of
+Linux lets the program's functions take the place of the wheel's, and the first use ends the process (measured: Debian's Blender 4.3).
+`wheel_is_safe` asks beforehand; `read_channels` and `read_strings` choose.
 
 Layout after the OpenEXR project's "OpenEXR File Layout": magic, version, attributes, table of chunks, chunks of 16 scanlines.
 """
@@ -11,18 +12,20 @@ Layout after the OpenEXR project's "OpenEXR File Layout": magic, version, attrib
 from __future__ import annotations
 
 import ctypes
-import io
 import struct
 import sys
 import zlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import OpenEXR
 
-from ..base.atomic import SOFTWARE, replace_file, require_finite
+from ..base.atomic import SOFTWARE, replace_file, require_none_bad
 from ..base.errors import WriteError
+from ..base.parallel import in_order
+from .rows import RowSource
 
 # Letters of the channels of a layer with 1, 3 or 4 of them. One letter alone is what Blender calls a value pass.
 LETTERS = {1: "V", 3: "RGB", 4: "RGBA"}
@@ -30,12 +33,14 @@ MAGIC, VERSION, LONG_NAMES = 20000630, 2, 0x400
 FLOAT, NONE, ZIPS, ZIP = 2, 0, 2, 3
 LINES_PER_CHUNK = {NONE: 1, ZIPS: 1, ZIP: 16}
 LARGEST_HEADER = 1 << 20  # bytes
+LEVEL = 1  # of zlib: noisy floats get no smaller by more of it
+READ = 1 << 20  # bytes read back in one go
 
 
 def write_exr(
     path: Path,
-    image: np.ndarray,
-    layers: Mapping[str, np.ndarray] | None = None,
+    image: RowSource,
+    layers: Mapping[str, RowSource] | None = None,
     *,
     folder: Path,
     metadata: Mapping[str, str] | None = None,
@@ -43,27 +48,28 @@ def write_exr(
     """Write `image` (h, w, 3 or 4) float32, row 0 at the bottom, and `layers` of (h, w), (h, w, 1), (h, w, 3) or (h, w, 4).
 
     A layer "direct" becomes the channels direct.R, direct.G, direct.B. Blender shows a file without layers as an image with
-    pixels; one with layers is a multilayer image, whose `pixels` Python cannot read there. Values are stored bit for bit.
+    pixels; one with layers is a multilayer image, whose `pixels` Python cannot read there. Values are stored bit for bit. Of layers that
+    are made as they are asked for (`LazyRows`) only a few rows are in memory at a time.
     `path` must lie in `folder`. Raises TargetError or WriteError; then nothing has changed.
     """
     path = Path(path)
-    channels = _channels("", image)
+    _check_layer("image", image)
     for name, values in (layers or {}).items():
-        if not name or "." in name:
-            raise WriteError(str(path), f"{name!r} cannot name a layer", "Use a name without dots")
-        channels.update(_channels(name + ".", values))
-    shapes = {c.shape for c in channels.values()}
-    if len(shapes) != 1:
-        raise WriteError(str(path), f"its layers have different sizes {sorted(shapes)}", "Give layers of one size")
-    for name, values in channels.items():
-        require_finite(f"{path} channel {name}", values)
+        _check_layer(name, values)
+    parts = {"": image, **(layers or {})}
+    sizes = {values.shape[:2] for values in parts.values()}
+    if len(sizes) != 1:
+        raise WriteError(str(path), f"its layers have different sizes {sorted(sizes)}", "Give layers of one size")
+    channels = {channel: (name, k) for name, values in parts.items() for channel, k in _channels(name, values)}
     strings = {"software": SOFTWARE} | {f"adjoint_gi.{key}": str(value) for key, value in (metadata or {}).items()}
+    written = []
 
-    def verify(temporary: Path) -> bool:
-        back = read_channels(temporary)[0]
-        return set(back) == set(channels) and all(np.array_equal(back[k].view(np.uint32), v.view(np.uint32)) for k, v in channels.items())
+    def write(temporary: Path) -> None:
+        written.append(write_channels(temporary, channels, parts, strings))
+        for name, count in written[0].bad.items():
+            require_none_bad(f"{path} channel {name}", count)
 
-    return replace_file(path, folder, write=lambda p: write_channels(p, channels, strings), verify=verify, ours=is_ours)
+    return replace_file(path, folder, write=write, verify=lambda p: written[0].stands_in(p), ours=is_ours)
 
 
 def is_ours(path: Path) -> bool:
@@ -74,19 +80,24 @@ def is_ours(path: Path) -> bool:
         return False
 
 
-def _channels(prefix: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    """One (h, w) float32 array for each channel, with the top row first as OpenEXR stores it."""
-    values = np.asarray(values, np.float32)
-    if values.ndim == 2:
-        values = values[..., None]
-    if values.ndim != 3 or values.shape[2] not in LETTERS or 0 in values.shape:
-        raise WriteError(prefix.rstrip(".") or "image", f"has the shape {values.shape}", "Give (h, w) or (h, w, 1, 3 or 4) values")
-    if prefix == "" and values.shape[2] == 1:
-        values = np.repeat(values, 3, axis=2)
-    return {prefix + letter: np.ascontiguousarray(values[::-1, :, k]) for k, letter in enumerate(LETTERS[values.shape[2]])}
+def _check_layer(name: str, values: RowSource) -> None:
+    """Raise WriteError where `values` can be no layer of this name."""
+    if not name or "." in name:
+        raise WriteError(name, f"{name!r} cannot name a layer", "Use a name without dots")
+    shape = values.shape if len(values.shape) != 2 else (*values.shape, 1)
+    if len(shape) != 3 or shape[2] not in LETTERS or 0 in shape:
+        raise WriteError(name, f"has the shape {values.shape}", "Give (h, w) or (h, w, 1, 3 or 4) values")
 
 
-# ---- by the wheel or in numpy
+def _channels(name: str, values: RowSource) -> list[tuple[str, int]]:
+    """Names of the channels of a layer, and which of its values each of them holds. A picture of one value is grey."""
+    depth = values.shape[2] if len(values.shape) == 3 else 1
+    if not name and depth == 1:
+        return [(letter, 0) for letter in LETTERS[3]]
+    return [(f"{name}.{letter}" if name else letter, k) for k, letter in enumerate(LETTERS[depth])]
+
+
+# ---- reading, by the wheel or in numpy
 
 
 def wheel_is_safe() -> bool:
@@ -94,19 +105,6 @@ def wheel_is_safe() -> bool:
     if not sys.platform.startswith("linux"):
         return True  # macOS and Windows look a function up in the library it was linked from
     return not hasattr(ctypes.CDLL(None), "exr_start_write")
-
-
-def write_channels(path: Path, channels: Mapping[str, np.ndarray], strings: Mapping[str, str]) -> None:
-    """Write `channels` (h, w) float32, top row first, with `strings` as attributes. Raises RuntimeError or OSError."""
-    if not wheel_is_safe():
-        write_numpy(path, channels, strings)
-        return
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **strings}
-    # Encoded in memory and written by Python: the library takes no path that is not UTF-8 and hides why a write failed.
-    encoded = io.BytesIO()
-    OpenEXR.File(header, {k: v.copy() for k, v in channels.items()}).write(encoded)
-    with open(path, "wb") as file:
-        file.write(encoded.getbuffer())
 
 
 def read_channels(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
@@ -129,16 +127,82 @@ def _strings(file: OpenEXR.File) -> dict[str, str]:
     return {name: value for name, value in file.header().items() if isinstance(value, str)}
 
 
-# ---- in numpy
+# ---- writing
 
 
-def write_numpy(path: Path, channels: Mapping[str, np.ndarray], strings: Mapping[str, str]) -> None:
-    """Write `channels` (h, w) float32, top row first, with `strings` as attributes. Raises OSError."""
-    names = sorted(channels, key=lambda n: n.encode())
-    planes = [np.ascontiguousarray(channels[n], "<f4") for n in names]
-    height, width = planes[0].shape
+@dataclass(frozen=True, eq=False)
+class Written:
+    """What a file must hold: its `start` (header and table of chunks), how many bytes come after it, and the checksum of these.
 
-    # Step 1: the header.
+    bad  by channel, how many values are not finite, where there are any
+    """
+
+    start: bytes
+    size: int
+    checksum: int
+    bad: dict[str, int]
+
+    def stands_in(self, path: Path) -> bool:
+        """Whether the file holds just that. Raises OSError."""
+        checksum, size = 0, 0
+        with open(path, "rb") as file:
+            if file.read(len(self.start)) != self.start:
+                return False
+            while block := file.read(READ):
+                checksum, size = zlib.crc32(block, checksum), size + len(block)
+        return (size, checksum) == (self.size, self.checksum)
+
+
+def write_channels(
+    path: Path, channels: Mapping[str, tuple[str, int]], layers: Mapping[str, RowSource], strings: Mapping[str, str]
+) -> Written:
+    """Write `channels`, by name the layer and which of its values, of `layers` (h, w[, c]) float32, row 0 at the bottom, with `strings` as
+    attributes. Raises OSError."""
+    names = sorted(channels, key=lambda name: name.encode())
+    height, width = next(iter(layers.values())).shape[:2]
+    head = _header(names, width, height, strings)
+    tops = range(0, height, LINES_PER_CHUNK[ZIP])
+
+    def coded(top: int) -> tuple[bytes, np.ndarray]:
+        # The top row of a file is the last one here.
+        rows = slice(max(0, height - top - LINES_PER_CHUNK[ZIP]), height - top)
+        parts = {name: np.asarray(values[rows], np.float32)[::-1] for name, values in layers.items()}
+        lines = _lines(parts, [channels[name] for name in names])
+        return _chunk(top, lines), (~np.isfinite(lines)).sum(axis=(0, 2))
+
+    first = at = len(head) + 8 * len(tops)
+    offsets, checksum, bad = [], 0, np.zeros(len(names), np.int64)
+    with open(path, "wb") as file:
+        file.seek(first)  # the table comes before the chunks, whose sizes it tells
+        for chunk, found in in_order(coded, tops):
+            file.write(chunk)
+            offsets.append(at)
+            checksum, at, bad = zlib.crc32(chunk, checksum), at + len(chunk), bad + found
+        start = head + np.array(offsets, "<u8").tobytes()
+        file.seek(0)
+        file.write(start)
+    return Written(start, at - first, checksum, {name: int(count) for name, count in zip(names, bad, strict=True) if count})
+
+
+def _lines(parts: Mapping[str, np.ndarray], channels: list[tuple[str, int]]) -> np.ndarray:
+    """(lines, channels, w) float32 of a chunk: in each line all channels one after the other. `parts` (lines, w[, c]) float32 by layer."""
+    lines, width = next(iter(parts.values())).shape[:2]
+    out = np.empty((lines, len(channels), width), "<f4")
+    for k, (name, which) in enumerate(channels):
+        out[:, k] = parts[name].reshape(lines, width, -1)[..., which]
+    return out
+
+
+def _chunk(top: int, lines: np.ndarray) -> bytes:
+    """A chunk of a file: compressed, unless that makes it larger."""
+    raw = lines.tobytes()
+    packed = zlib.compress(_interleave(raw), LEVEL)
+    data = packed if len(packed) < len(raw) else raw
+    return struct.pack("<ii", top, len(data)) + data
+
+
+def _header(names: list[str], width: int, height: int, strings: Mapping[str, str]) -> bytes:
+    """Everything before the table of chunks, of channels `names` in the order of their bytes."""
     entries = b"".join(n.encode() + b"\0" + struct.pack("<iB3xii", FLOAT, 0, 1, 1) for n in names) + b"\0"
     window = struct.pack("<4i", 0, 0, width - 1, height - 1)
     attributes = [
@@ -156,27 +220,14 @@ def write_numpy(path: Path, channels: Mapping[str, np.ndarray], strings: Mapping
     head = struct.pack("<ii", MAGIC, VERSION | (LONG_NAMES if long_names else 0))
     for name, kind, data in attributes:
         head += name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(data)) + data
-    head += b"\0"
+    return head + b"\0"
 
-    # Step 2: chunks of 16 scanlines, in each line all channels one after the other.
-    chunks = []
-    for y in range(0, height, LINES_PER_CHUNK[ZIP]):
-        raw = np.stack([p[y : y + LINES_PER_CHUNK[ZIP]] for p in planes], axis=1).tobytes()
-        packed = zlib.compress(_interleave(raw), 4)
-        data = packed if len(packed) < len(raw) else raw
-        chunks.append(struct.pack("<ii", y, len(data)) + data)
 
-    # Step 3: the table says where each chunk starts.
-    sizes = np.array([len(c) for c in chunks], np.int64)
-    offsets = len(head) + 8 * len(chunks) + np.concatenate([[0], np.cumsum(sizes)[:-1]])
-    with open(path, "wb") as file:
-        file.write(head)
-        file.write(offsets.astype("<u8").tobytes())
-        file.writelines(chunks)
+# ---- reading in numpy
 
 
 def read_numpy(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Channels (h, w) float32, top row first, and string attributes of a file of the kind `write_numpy` makes.
+    """Channels (h, w) float32, top row first, and string attributes of a file of the kind `write_channels` makes.
 
     Raises RuntimeError for any other kind of file and OSError where it cannot be read.
     """
@@ -250,10 +301,12 @@ def _channel_names(entries: bytes) -> list[str]:
 
 def _interleave(raw: bytes) -> bytes:
     """Even bytes, then odd bytes, then differences of neighbours plus 128: what makes float data compress well."""
-    data = np.frombuffer(raw, np.uint8)
-    data = np.concatenate([data[0::2], data[1::2]])
-    out = data.copy()
-    out[1:] = data[1:] - data[:-1] + np.uint8(128)
+    data, half = np.frombuffer(raw, np.uint8), (len(raw) + 1) // 2
+    sorted_bytes = np.empty_like(data)
+    sorted_bytes[:half], sorted_bytes[half:] = data[0::2], data[1::2]
+    out = sorted_bytes.copy()
+    np.subtract(sorted_bytes[1:], sorted_bytes[:-1], out=out[1:])
+    out[1:] += np.uint8(128)
     return out.tobytes()
 
 
