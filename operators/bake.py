@@ -21,7 +21,8 @@ class ADJOINTGI_OT_bake(Starts, bpy.types.Operator):
     runner = jobs.BAKES
 
     def request(self, context: bpy.types.Context) -> BakeRequest:
-        """What the panel asks for."""
+        """What the panel asks for; a check under way makes room."""
+        check.stop()
         return request_of(context.scene, context.view_layer)
 
     def summary(self, scene: bpy.types.Scene) -> str:
@@ -120,9 +121,17 @@ class ADJOINTGI_OT_check(bpy.types.Operator):
     bl_label = "Check"
     bl_options = {"REGISTER"}
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """With a window: look in slices; the panel shows what is found."""
+        if bpy.app.background:
+            return self.execute(context)
+        check.look_again()
+        return {"FINISHED"}
+
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Report what is found."""
+        """From a script: report what is found."""
         check.refresh()
+        check.stop(background.STOP)
         notices = check.now(context)
         for notice in notices:
             report(self, notice)
@@ -131,4 +140,25 @@ class ADJOINTGI_OT_check(bpy.types.Operator):
         return {"FINISHED"}
 
 
-classes = (ADJOINTGI_OT_bake, ADJOINTGI_OT_stop, ADJOINTGI_OT_resume, ADJOINTGI_OT_write, ADJOINTGI_OT_renew_uvs, ADJOINTGI_OT_check)
+class ADJOINTGI_OT_stop_check(bpy.types.Operator):
+    """Stop looking for what would prevent the bake; what is known at once stays"""
+
+    bl_idname = "adjoint_gi.stop_check"
+    bl_label = "Stop Check"
+    bl_options = {"INTERNAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Stop after the part that runs."""
+        check.stop()
+        return {"FINISHED"}
+
+
+classes = (
+    ADJOINTGI_OT_bake,
+    ADJOINTGI_OT_stop,
+    ADJOINTGI_OT_resume,
+    ADJOINTGI_OT_write,
+    ADJOINTGI_OT_renew_uvs,
+    ADJOINTGI_OT_check,
+    ADJOINTGI_OT_stop_check,
+)

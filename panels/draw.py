@@ -14,6 +14,7 @@ from ..adjoint_gi.bridge.props.records import Notice
 from . import text
 
 NARROW = 400  # pixels; a sidebar is less wide
+SEEN = 1.0  # seconds from which on a check that is under way is shown
 CRAMPED = 260  # pixels; names stand above their values
 OUTPUT = {  # what each target uses
     "texture": ("target", "quantity", "selection_only", "instances", "resolution", "atlas", "uv_layer", "folder"),
@@ -163,6 +164,16 @@ def film(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     layout.prop(context.scene.render, "film_transparent", text="Transparent")
 
 
+def looking(layout: bpy.types.UILayout) -> None:
+    """How far a check of the scene is that takes long enough to be seen."""
+    under_way = check.under_way()
+    if under_way is None or under_way.seconds < SEEN:
+        return
+    row = layout.row(align=True)
+    row.progress(factor=under_way.fraction, text=f"Checking: {under_way.text}")
+    row.operator("adjoint_gi.stop_check", text="", icon="X")
+
+
 def bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What is missing, the buttons, and how far the bake is."""
     job = BAKES.job
@@ -176,6 +187,7 @@ def bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     found = check.cached(context.scene)
     notices = [n for n in found or () if n.severity != "info"]
     boxed(layout, context, notices)
+    looking(layout)
     row = layout.row(align=True)
     row.scale_y = 1.4
     start = row.row(align=True)

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the panels draw in each state, recorded by a stand-in for the layout that refuses whatever Blender would refuse."""
 
+import threading
+import time
 import types
 
 import bpy
 import pytest
-from adjgi.adjoint_gi.bridge.baking import check, jobs
+from adjgi.adjoint_gi.bridge.baking import check, jobs, preflight
 from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
 from adjgi.adjoint_gi.bridge.host import background
 from adjgi.adjoint_gi.bridge.props import properties, records
@@ -320,29 +322,44 @@ def test_numbers_as_people_read_them():
     assert (text.watts(0.012345), text.percent(0.00123), text.percent(1e-15)) == ("0.01235 W", "0.12 %", "under 0.0001 %")
 
 
+def finished(found):
+    """Stages that end at once with `found`."""
+    yield "Looking"
+    return found
+
+
+def refreshed():
+    """Look, and go on until nothing is under way."""
+    check.refresh()
+    end = time.monotonic() + 20.0
+    while check.under_way() is not None:
+        assert time.monotonic() < end
+        check.advance()
+
+
 def test_the_check_looks_again_only_after_a_change(state, monkeypatch):
     seen = []
-    monkeypatch.setattr(check, "preflight", lambda context, request: seen.append(request) or [])
+    monkeypatch.setattr(check, "preflighting", lambda context, request: seen.append(request) or finished([]))
     monkeypatch.setattr(check, "SHARE", 1e9)
     monkeypatch.setattr(check._Cache, "full_time", 0.0)
     square()
-    check.refresh()
+    refreshed()
     assert len(seen) == 1
     bpy.context.view_layer.update()
     check._Cache.dirty = False
-    check.refresh()
+    refreshed()
     assert len(seen) == 1
     state.resolution += 1
-    check.refresh()
+    refreshed()
     assert len(seen) == 2
     bpy.data.objects["Square"].location.x += 1
     bpy.context.view_layer.update()
-    check.refresh()
+    refreshed()
     assert len(seen) == 3
 
 
 def test_a_slow_check_is_seldom_but_errors_are_seen_at_once(state, monkeypatch):
-    monkeypatch.setattr(check, "preflight", lambda context, request: pytest.fail("extracted again too early"))
+    monkeypatch.setattr(check, "preflighting", lambda context, request: pytest.fail("extracted again too early"))
     monkeypatch.setattr(check._Cache, "full_time", float("inf"))
     square()
     state.uv_layer = "Nowhere"
@@ -364,3 +381,54 @@ def test_nothing_selected_is_said_before_bake(state):
     (notice,) = check.now(bpy.context)
     assert (notice.severity, notice.object) == ("error", "Selected Only")
     assert bpy.ops.adjoint_gi.bake() == {"CANCELLED"}
+
+
+def test_the_check_extracts_in_slices_and_what_is_computed_in_a_thread(state, monkeypatch):
+    """As a bake is prepared; what it finds is what is found at once."""
+    monkeypatch.setattr(check._Cache, "full_time", 0.0)
+    square()
+    threads, real = [], preflight.baked_sides
+    monkeypatch.setattr(preflight, "baked_sides", lambda *of: threads.append(threading.current_thread()) or real(*of))
+    check.refresh()
+    assert check.under_way() is not None and not threads, "nothing of it runs where it is begun"
+    while check.under_way() is not None:
+        check.advance()
+    assert len(threads) == 1 and threads[0] is not threading.main_thread()
+    assert check._Cache.notices == check.now(bpy.context) and len(check._Cache.notices) > 0
+    assert not check._Cache.dirty
+
+
+@pytest.mark.parametrize("how", ["stop", "change", "load"])
+def test_a_check_under_way_ends(state, monkeypatch, how, tmp_path):
+    monkeypatch.setattr(check._Cache, "full_time", 0.0)
+    square()
+    check.refresh()
+    preparation = check.under_way()
+    if how == "stop":
+        assert bpy.ops.adjoint_gi.stop_check() == {"FINISHED"}
+        assert preparation.state == "dropped"
+    elif how == "change":
+        check.advance()
+        bpy.data.objects["Square"].location.x += 1
+        bpy.context.view_layer.update()
+        while check.under_way() is not None:
+            check.advance()
+        assert preparation.state in ("failed", "finished")
+    else:
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+        assert check.under_way() is preparation
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    assert check.under_way() is None and not [t for t in threading.enumerate() if t.name == "adjoint_gi_preparation"]
+    if how != "load":
+        assert check._Cache.dirty and not any(n.severity == "error" for n in check._Cache.notices)
+
+
+def test_a_check_under_way_is_shown_with_a_button_that_stops_it(state, monkeypatch):
+    class Slow:
+        seconds, fraction, text = 3.0, 0.25, "Reading image Big"
+
+    monkeypatch.setattr(check, "under_way", lambda: Slow)
+    layout = drawn(draw.bake)
+    assert "Checking: Reading image Big" in layout.names("progress") and "adjoint_gi.stop_check" in layout.names("operator")
+    Slow.seconds = 0.3
+    assert "adjoint_gi.stop_check" not in drawn(draw.bake).names("operator"), "a quick one would flicker"

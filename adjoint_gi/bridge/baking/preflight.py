@@ -24,7 +24,8 @@ from ...core.scene.arrays import SceneArrays
 from ...core.scene.world import World
 from ...core.walks import openness
 from ..extract.camera import NO_PICTURE, render_size
-from ..extract.depsgraph import extract
+from ..extract.depsgraph import extracting
+from ..extract.images import reading, return_images
 from ..host import files
 from ..host.notices import Notices, listed
 from ..host.preparation import Aside, Stages, finish_stages, once
@@ -37,6 +38,7 @@ from ..results.lightmap_uv import NAME, check_target, own_layer
 from ..results.show import unhidden
 from . import outputs
 from .sides import planned, unfit
+from .watch import unchanged
 
 QUICK = 300_000  # triangles above which the panel's check does not extract the scene
 LEFT_OUT = ("and is left out", "so it is left out")  # words of the extraction for a whole object that is not there
@@ -46,18 +48,34 @@ BYTES_A_TRIANGLE = 900  # arrays, rows of the world and Embree's tree, measured 
 
 def preflight(context: bpy.types.Context, request: BakeRequest, thorough: bool = False) -> list[Notice]:
     """All notices, errors first. Nothing is changed. Big scenes are extracted only when `thorough`."""
+    return finish_stages(preflighting(context, request, thorough))
+
+
+def preflighting(context: bpy.types.Context, request: BakeRequest, thorough: bool = False) -> Stages[list[Notice]]:
+    """`preflight` in slices, as a bake is prepared. Raises `AdjointError` when the user changes the scene meanwhile."""
     request, notices = resolve(context, request)
     if any(n.severity == "error" for n in notices):
         return notices
-    depsgraph = context.evaluated_depsgraph_get()
-    count = triangle_count(depsgraph)
+    count = triangle_count(context.evaluated_depsgraph_get())
     if count > QUICK and not thorough:
         notices.append(Notice("Scene", f"has about {count:,} triangles; they are looked at when the bake starts", "", "info"))
         notices += _memory_notice("Scene", count * BYTES_A_TRIANGLE)
         return ordered(notices)
-    arrays = extract(depsgraph, context.scene, picture_size(context.scene, request))
+    same = unchanged()
+    try:
+        yield from reading(context)
+        yield "Reading the scene"
+        same()
+        size = picture_size(context.scene, request)
+        arrays = yield from extracting(context.evaluated_depsgraph_get(), context.scene, size)
+    finally:
+        return_images()
+    world = yield Aside("Building the tree of rays", once(lambda: World(arrays)))
+    same()
+    found = yield from inspecting(world, request)
+    same()
     taken = outputs.problems(request, arrays, receiving(arrays, request), context.scene.name)
-    return ordered([*notices, *inspect(World(arrays), request), *taken])
+    return ordered([*notices, *found, *taken])
 
 
 def ordered(notices: list[Notice]) -> list[Notice]:

@@ -9,18 +9,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ..base.errors import Notice
-from ..lights.emission import Emission, Particles
 from ..scene.world import World
+from ..walks import openness
 from ..walks.openness import DARK, ENOUGH, MIN_ARRIVALS, count_sides
 from ..walks.particles import walk
 from .density import through_picture
 
-PARTICLES = 16384  # of each kind
-LENGTH = 4  # segments a particle is followed
+PARTICLES = 16384  # of importance
+LENGTH = 4  # segments each is followed
 CLOSED = 1e-3  # share of the area of a body that its area vectors may leave
 
 
@@ -36,10 +37,7 @@ def baked_sides(world: World, objects: Sequence[int]) -> BakedSides:
     """The sides of the triangles of `objects` (indices) to bake. The same every time."""
     if not len(objects):  # a picture bakes no side
         return BakedSides(None, ())
-    rng = np.random.default_rng(0)
-    emission, view = Emission(world), through_picture(world, PARTICLES, rng)
-    light = None if emission.is_dark or not world.triangle_count else emission.draw(PARTICLES, rng)
-    seen, lit = _arrivals(world, view, rng, True), _arrivals(world, light, rng, False)
+    seen, lit = _seen(world), openness.measure(world).sides
     owner = world.scene.object
     # What is seen decides; where too little of it is known, what is lit.
     back, known = _by_back(world, seen)
@@ -51,16 +49,22 @@ def baked_sides(world: World, objects: Sequence[int]) -> BakedSides:
     return BakedSides(facing, tuple(_notices(world, back)))
 
 
-def _arrivals(world: World, start: Particles | None, rng: np.random.Generator, importance: bool) -> np.ndarray:
-    """(2, nt) int64 how many particles arrive at the fronts and at the backs of all triangles; none without a `start`."""
-    sides = np.zeros((2, world.triangle_count), np.int64)
-    if start is not None:
-        walk(world, start, LENGTH, rng, partial(count_sides, sides), importance=importance)
-    return sides
+_SEEN: WeakKeyDictionary[World, np.ndarray] = WeakKeyDictionary()  # a world does not change after it is made
+
+
+def _seen(world: World) -> np.ndarray:
+    """(2, nt) int64 how many particles of the camera arrive at the fronts and backs of all triangles; followed once for each world."""
+    if world not in _SEEN:
+        rng, sides = np.random.default_rng(0), np.zeros((2, world.triangle_count), np.int64)
+        view = through_picture(world, PARTICLES, rng)
+        if view is not None:
+            walk(world, view, LENGTH, rng, partial(count_sides, sides), importance=True)
+        _SEEN[world] = sides
+    return _SEEN[world]
 
 
 def _by_back(world: World, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(nt,) bool: the back is met, and the front hardly; and (nt,) bool: enough arrived to tell. `sides` as of `_arrivals`.
+    """(nt,) bool: the back is met, and the front hardly; and (nt,) bool: enough arrived to tell. `sides` as of `_seen`.
 
     Triangles with few arrivals follow their objects. Small objects have few as well: where all are at one side, a few are enough, and
     any where that is the outside of a body.

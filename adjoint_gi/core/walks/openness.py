@@ -8,6 +8,7 @@ light that leaves a nearly closed scene is a leak.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from ..lights.emission import Emission
 from ..scene.world import World
 from .particles import Hits, walk
 
-PARTICLES = 8192
+PARTICLES = 16384
 LENGTH = 8  # segments a particle is followed
 LEAK = 0.03  # a scene that less than this share of the reflected particles leaves is meant to be closed
 ENOUGH = (
@@ -32,19 +33,31 @@ class Openness:
     """escaped   share of the particles that met a surface and left the scene afterwards
     lost      (number of objects,) float64, share of the arrivals at each object that are at faces lit from the back only
     arrivals  (number of objects,) int64
+    sides     (2, number of triangles) int64, arrivals at the front and at the back of each triangle
     """
 
     escaped: float
     lost: np.ndarray
     arrivals: np.ndarray
+    sides: np.ndarray
+
+
+_MEASURED: WeakKeyDictionary[World, dict[int, Openness]] = WeakKeyDictionary()  # a world does not change after it is made
 
 
 def measure(world: World, particles: int = PARTICLES) -> Openness:
-    """Follow `particles` particles of all lights; nothing arrives where nothing emits."""
+    """Follow `particles` particles of all lights, once for each world; nothing arrives where nothing emits."""
+    known = _MEASURED.setdefault(world, {})
+    if particles not in known:
+        known[particles] = _follow(world, particles)
+    return known[particles]
+
+
+def _follow(world: World, particles: int) -> Openness:
     emission = Emission(world)
     sides = np.zeros((2, world.triangle_count), np.int64)  # arrivals at the front and at the back of each triangle
     if emission.is_dark or world.triangle_count == 0:
-        return Openness(0.0, *_lost(world, sides))
+        return Openness(0.0, *_lost(world, sides), sides)
     rng = np.random.default_rng(0)
     met = np.zeros(particles, bool)
 
@@ -55,7 +68,7 @@ def measure(world: World, particles: int = PARTICLES) -> Openness:
     ends = walk(world, emission.draw(particles, rng), LENGTH, rng, visit)
     count = int(np.count_nonzero(met))
     left = ends.escaped - (ends.emitted - count)
-    return Openness(left / max(1, count), *_lost(world, sides))
+    return Openness(left / max(1, count), *_lost(world, sides), sides)
 
 
 def count_sides(sides: np.ndarray, hits: Hits) -> None:
