@@ -60,7 +60,7 @@ class Interiors:
 
     def _above(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(n,) int32 what a ray along the normal meets first, if that is a back, or a front so near that its object may hover; else -1."""
-        ray = _up(self.world, triangle, u, v)
+        ray = _up(self.world, triangle, u, v, around=False)
         width = _across(self._extent[self.world.scene.object[ray.hit]], ray.surface.ng)
         return np.where((ray.hit >= 0) & (ray.gap <= GAP * width), ray.hit, np.int32(-1))
 
@@ -82,7 +82,7 @@ class Interiors:
 @dataclass(frozen=True, eq=False)
 class _Up:
     """Rays along the normals of `surface`: hit (n,) int32 triangle, -1 for none; gap (n,) float32 m to a front that is met, 0 to a back;
-    origin (n, 3) float32 of rays that look around from there: behind a front that is met."""
+    origin (n, 3) float32 of rays that look around from there: behind a front that is met, where that was asked for."""
 
     surface: Surface
     hit: np.ndarray
@@ -90,13 +90,13 @@ class _Up:
     origin: np.ndarray
 
 
-def _up(world: World, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> _Up:
+def _up(world: World, triangle: np.ndarray, u: np.ndarray, v: np.ndarray, around: bool) -> _Up:
     surface = world.surface(triangle, u, v)
     origin = world.leave(surface)
     hit, hit_u, hit_v, t = world.intersect(origin, surface.ng, RayKind.DIFFUSE)
     front = (hit >= 0) & (np.einsum("ij,ij->i", world.rows[hit, 9:12], surface.ng) < 0)
     gap = np.where(front, t, np.float32(0))
-    at = np.flatnonzero(front)
+    at = np.flatnonzero(front & around)  # below a ceiling all rays meet fronts
     origin[at] = world.leave(world.surface(hit[at], hit_u[at], hit_v[at], -surface.ng[at]), np.ones(len(at), bool))
     return _Up(surface, hit, gap, origin)
 
@@ -109,7 +109,7 @@ def _across(extent: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 def _mostly_inside(world: World, bodies: Bodies, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """(n,) bool: whether MOST of RAYS rays from the points meet backs of bodies first."""
-    up = _up(world, triangle, u, v)
+    up = _up(world, triangle, u, v, around=True)
     ng, point = up.surface.ng, up.surface.position.astype(np.float64)
     square = additive(np.arange(RAYS), STEPS[2], 0.5)
     count = np.zeros(len(triangle), np.int64)
