@@ -316,6 +316,25 @@ def test_an_image_that_blender_holds_is_read_once_for_a_bake_and_again_when_it_i
     assert min(t.stored[..., 0].min() for t in arrays.textures) < 0.5 * 255
 
 
+def test_images_whose_alpha_is_used_and_those_of_the_world_are_read_before_the_extraction_too(tmp_path, monkeypatch):
+    """The same image both ways is read both ways, each as the extraction asks for it."""
+    image_store.KNOWN.clear()
+    image = bpy.data.images.load(png(tmp_path / "leaf.png", (0.8, 0.4, 0.2, 0.5)))
+    emitter(image)
+    emitter(image, alpha_used=True)
+    world = bpy.context.scene.world = bpy.data.worlds.new("Sky")
+    world.use_nodes = True
+    sky = world.node_tree.nodes.new("ShaderNodeTexEnvironment")
+    sky.image = bpy.data.images.load(png(tmp_path / "sky.png", (0.1, 0.2, 0.4, 1.0)))
+    world.node_tree.links.new(sky.outputs["Color"], world.node_tree.nodes["Background"].inputs["Color"])
+    reads = read_count(monkeypatch)
+    finish_stages(images.reading(bpy.context))
+    assert len(reads) == 3
+    arrays, _ = notices()
+    assert len(reads) == 3, "the extraction finds all of them known"
+    assert sorted(t.times_alpha for t in arrays.textures if t.name == "leaf.png") == [False, True]
+
+
 def test_images_are_read_one_by_one_before_the_extraction(tmp_path, monkeypatch):
     image_store.KNOWN.clear()
     for k in range(3):

@@ -16,7 +16,7 @@ from ...core.scene.arrays import Color, Source, Term
 from ..host.notices import Notices
 from . import color_nodes
 from .color_math import NotPolynomial, finite, luminance, mapped, mean, simplified
-from .images import MEAN_OF_NOTHING, Images
+from .images import MEAN_OF_NOTHING, Images, is_straight
 from .nodes import UNREADABLE, NodesTooDeep, Place, Unknown, follow, inputs
 from .uv import NotUv, read_coordinates
 
@@ -177,7 +177,7 @@ class Colors:
         if node.image is None:
             self.skip(place, "has no image", "black is used, as in Cycles", "Choose an image")
             return Color.of(0.0)
-        straight = any(o.name == "Alpha" and o.is_linked for o in node.outputs)
+        straight = is_straight(node)
         if node.interpolation not in ("Closest", "Linear"):
             text = f'node "{node.name}" has {node.interpolation.lower()} interpolation; it is computed as linear'
             self.notices.add(self.owner, text, "Choose linear", "info")

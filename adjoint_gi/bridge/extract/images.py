@@ -86,19 +86,19 @@ class Images:
             self._index[key] = None if read is None else self._add(renamed(read, image.name, extension, interpolation))
         return self._index[key]
 
-    def knowing(self, image: bpy.types.Image) -> Stages[None]:
-        """Read it, as it is where its Alpha output is not used, for who asks for it later; nothing where it is known or was painted.
+    def knowing(self, image: bpy.types.Image, straight: bool) -> Stages[None]:
+        """Read it for who asks for it later, as `read` would with `straight`; nothing where it is known or was painted.
 
         Blender is asked in the first slice, and its floats are made to a texture aside.
         """
         key = fingerprint(image) or _lent(image)
-        if key is None or KNOWN.holds((*key, False)):
+        if key is None or KNOWN.holds((*key, straight)):
             return
         self._notices.begin()
         asked, texture = self._ask(image), None
         if asked is not None:
-            texture = yield Aside(f"Reading image {image.name}", once(lambda: _ranged(self._texture(asked, straight=False))))
-        KNOWN.put((*key, False), texture, self._notices.said)
+            texture = yield Aside(f"Reading image {image.name}", once(lambda: _ranged(self._texture(asked, straight))))
+        KNOWN.put((*key, straight), texture, self._notices.said)
 
     def derive(self, texture: int, key: tuple, pixels: Callable[[np.ndarray], np.ndarray]) -> int:
         """Index of a texture with the same lookup and other pixels, which `pixels` makes of some of them ((n, 4) float32, in place or not);
@@ -300,16 +300,17 @@ def return_images() -> None:
 
 
 def reading(context: bpy.types.Context) -> Stages[None]:
-    """Read the images of files on the objects of `context` that are not known yet, one in each slice; an extraction finds them known then.
-    What there is to say of them is said by the extraction. Whoever calls it calls `return_images` when the bake is prepared."""
+    """Read the images of files on the objects of `context` and in its world that are not known yet, one in each slice; an extraction
+    finds them known then, and says what there is to say of them. Whoever calls it calls `return_images` when the bake is prepared."""
     context.view_layer.update()
     trees = {slot.material.node_tree for obj in context.view_layer.objects for slot in obj.material_slots if slot.material is not None}
-    names = sorted({image.name for tree in trees if tree is not None for image in _images_of(tree)})
-    for name in names:
+    trees.add(context.scene.world.node_tree if context.scene.world is not None else None)
+    wanted = sorted({(image.name, straight) for tree in trees if tree is not None for image, straight in _images_of(tree)})
+    for name, straight in wanted:
         yield f"Reading image {name}"
         image = bpy.data.images.get(name)  # anything may have happened meanwhile
         if image is not None:
-            yield from Images(Notices(), 0).knowing(image)
+            yield from Images(Notices(), 0).knowing(image, straight)
 
 
 def _ranged(texture: Texture) -> Texture:
@@ -318,14 +319,19 @@ def _ranged(texture: Texture) -> Texture:
     return texture
 
 
-def _images_of(tree: bpy.types.NodeTree, depth: int = 0) -> Iterator[bpy.types.Image]:
-    """Images of files in the nodes of `tree` and of its groups, down to a depth that no tree of a person has."""
+def _images_of(tree: bpy.types.NodeTree, depth: int = 0) -> Iterator[tuple[bpy.types.Image, bool]]:
+    """Images of files in the nodes of `tree` and of its groups, down to a depth that no tree of a person has, and whether `is_straight`."""
     for node in tree.nodes:
         image, group = getattr(node, "image", None), getattr(node, "node_tree", None)
         if image is not None and image.source == "FILE" and image.library is None:
-            yield image
+            yield image, is_straight(node)
         if group is not None and depth < 10:
             yield from _images_of(group, depth + 1)
+
+
+def is_straight(node: bpy.types.Node) -> bool:
+    """Whether the colour of an image node is kept independent of alpha, as Cycles does where its Alpha output is used."""
+    return any(output.name == "Alpha" and output.is_linked for output in node.outputs)
 
 
 def shown_frame(user: bpy.types.ImageUser, frame: int) -> int:
