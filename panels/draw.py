@@ -11,6 +11,7 @@ from ..adjoint_gi.bridge.host import background
 from ..adjoint_gi.bridge.host.background import Job
 from ..adjoint_gi.bridge.props.properties import MethodSpec, chosen, group_name, method_label, own_and_common, quadrant
 from ..adjoint_gi.bridge.props.records import Notice
+from ..adjoint_gi.bridge.results.real import may_become_mesh, standing_for
 from . import text
 
 NARROW = 400  # pixels; a sidebar is less wide
@@ -152,8 +153,9 @@ def texels(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     column = layout.column()
     for name in ("texels_per_metre", "margin", "subsamples"):
         _entry(column, context, context.scene.adjoint_gi, name)
-    if context.object is not None and context.object.type == "MESH":
-        _entry(column, context, context.object, "adjoint_gi_density")
+    owner = standing_for(context.object) if context.object is not None else None
+    if owner is not None and (owner.type == "MESH" or may_become_mesh(owner)):
+        _entry(column, context, owner, "adjoint_gi_density")
     column.operator("adjoint_gi.renew_uvs", icon="UV_DATA")
 
 

@@ -220,6 +220,17 @@ def test_check_says_what_the_bake_says_and_makes_nothing():
     assert [n for n in Bake(bpy.context, asked()).notices if "free" not in n.reason] == [n for n in said if "free" not in n.reason]
 
 
+def test_the_panel_does_not_refuse_a_scene_of_instances():
+    """Its check does not make the objects that will receive."""
+    collections()
+    add_light("SUN", energy=SUN)
+    bpy.context.view_layer.update()
+    for request in (asked(), asked(objects=("place 1",))):
+        assert not [n for n in preflight(bpy.context, request) if n.severity == "error"]
+    for request in (asked(instances=False), asked(objects=("place 1",), instances=False)):
+        assert [n for n in preflight(bpy.context, request) if n.severity == "error"]
+
+
 def test_named_makers_mean_their_instances_alone(tmp_path):
     collections()
     add_light("SUN", energy=SUN)

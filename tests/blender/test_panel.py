@@ -250,6 +250,14 @@ def test_result_shows_its_numbers(state):
     assert {"adjoint_gi.show_result", "adjoint_gi.restore", "adjoint_gi.clear_results"} == set(layout.names("operator"))
 
 
+def test_density_is_offered_for_what_can_have_texels(state):
+    for name, data in (("Rope", bpy.data.curves.new("Rope", "CURVE")), ("Lamp", bpy.data.lights.new("Lamp", "POINT"))):
+        obj = bpy.data.objects.new(name, data)
+        bpy.context.scene.collection.objects.link(obj)
+        bpy.context.view_layer.objects.active = obj
+        assert ("adjoint_gi_density" in drawn(draw.texels).names("prop")) == (name == "Rope")
+
+
 def test_what_was_given_to_whom_is_listed(state):
     solution = next(Fake().solve(None, type("R", (), {"count": 3, "measure": "irradiance"}), FakeSettings(), None)).solution()
     what = {"target": "texture", "quantity": "direct", "applied": True}

@@ -203,12 +203,13 @@ def _of_objects(world: World, request: BakeRequest, receivers: list[int]) -> lis
         if arrays.camera is None and not any(n.severity == "error" for n in notices):
             notices.append(Notice("Camera", "there is no camera that can be used", "Make it perspective or orthographic", "error"))
         return notices
-    present = {name for i in receivers for name in (arrays.objects[i].source, arrays.objects[i].maker)}
+    made = _makers(arrays) if request.instances else set()
+    present = made | {name for i in receivers for name in (arrays.objects[i].source, arrays.objects[i].maker)}
     notices = refusals(notices, [n for n in request.objects if n not in present])
     notices += _meshless(arrays, request)
     if not request.objects:
         notices += _instances(arrays, request)
-    if not receivers and not request.objects and not any(n.severity == "error" for n in notices):
+    if not receivers and not made and not request.objects and not any(n.severity == "error" for n in notices):
         notices.append(_nothing_to_bake(arrays))
     return notices
 
@@ -358,6 +359,13 @@ def _named(context: bpy.types.Context, name: str, obj: bpy.types.Object | None, 
     if obj.hide_render:
         return [Notice(name, "is hidden in render, so no light reaches it", "Enable it in renders", "error")]
     return []
+
+
+def _makers(arrays: SceneArrays) -> set[str]:
+    """Names of the objects whose instances a bake makes objects of; in a bake that has made them there are none left."""
+    objects = {o.name: o for o in bpy.data.objects}
+    names = {o.maker for o in arrays.objects if o.instance} & set(objects)
+    return {name for name in names if reals.locked(objects[name]) is None}
 
 
 def _meshless(arrays: SceneArrays, request: BakeRequest) -> list[Notice]:
