@@ -287,7 +287,8 @@ def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         # A gathering method follows no light from its source, so where it goes is not known.
         rows += [("Emitted", text.watts(record.emitted)), ("Entering", text.watts(record.entering))]
     table(layout, context, rows)
-    warnings = [i.notice() for i in record.notices if i.severity != "info" and i.notice() not in shown]
+    told = (*shown, *(check.cached(context.scene) or ()))  # above the button
+    warnings = [i.notice() for i in record.notices if i.severity != "info" and i.notice() not in told]
     boxed(layout, context, warnings)
     given(layout, context, record)
     for path in paths:

@@ -250,6 +250,15 @@ def test_result_shows_its_numbers(state):
     assert {"adjoint_gi.show_result", "adjoint_gi.restore", "adjoint_gi.clear_results"} == set(layout.names("operator"))
 
 
+def test_a_warning_above_the_button_is_not_repeated_below_the_numbers(state, monkeypatch):
+    solution = next(Fake().solve(None, type("R", (), {"count": 3, "measure": "irradiance"}), FakeSettings(), None)).solution()
+    plant = Notice("Plant", "differs in renders", "Make both the same", "warning")
+    records.store(state.result, solution, target="texture", quantity="direct", applied=True, notices=[plant])
+    for found, times in (((), 1), ((plant,), 0)):
+        show(monkeypatch, *found)
+        assert drawn(draw.result).words.count("Plant: differs in renders") == times
+
+
 def test_density_is_offered_for_what_can_have_texels(state):
     for name, data in (("Rope", bpy.data.curves.new("Rope", "CURVE")), ("Lamp", bpy.data.lights.new("Lamp", "POINT"))):
         obj = bpy.data.objects.new(name, data)
