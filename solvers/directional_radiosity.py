@@ -145,18 +145,18 @@ class BinRun(DirectionalRun):
 
     def by_length(self, emitted: np.ndarray, arriving: np.ndarray) -> Iterator[Step]:
         """Jacobi: one path length after another, of which those that count are kept."""
-        s, length = self.settings, 0
+        s, length, whole = self.settings, 0, self.field()
         for found, term in self.transport.neumann(emitted, arriving, s.max_length, s.tolerance, s.max_iterations):
             if term is not None:
                 length, self.residual = length + 1, found
+                whole += term
                 if s.min_length <= length:
                     (self.first if length == 1 else self.rest)[:] += term
                 self.clock.note(found)
             yield from self.pause(self.relaxed(self.residual, 0.6), f"Path length {length}, residual {self.residual:.1e}")
         if length >= s.max_length:
             self.residual = 0.0  # no longer path counts
-        if s.min_length <= 1 and s.max_length >= NO_LIMIT:
-            self.balance = self._energy(emitted, arriving, self.first + self.rest)
+        self.balance = self._energy(emitted, arriving, whole)
 
     def relax(self, emitted: np.ndarray, arriving: np.ndarray) -> Iterator[Step]:
         """Gauss-Seidel gathers rows, Southwell shoots columns; all path lengths at once."""

@@ -30,7 +30,7 @@ from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf.cook_torrance import cook_torrance
 from ..adjoint_gi.core.bsdf.table import BsdfTable
 from ..adjoint_gi.core.lights.emitters import Emitters
-from ..adjoint_gi.core.lights.light_points import LightPoints, phong_lobe
+from ..adjoint_gi.core.lights.light_points import LightPoints, background_notices, phong_lobe
 from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.registry import DETERMINISTIC, GATHERING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
@@ -89,7 +89,7 @@ class LocalIllumination(Solver):
     def solve(self, world: World, receivers: Receivers, settings: LocalSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every few batches of receivers."""
         emitters = Emitters(world)
-        run = Run(self.spec, world, receivers, settings, emitters)
+        run = Run(self.spec, world, receivers, settings, emitters, background_notices(emitters, settings.ambient))
         points = LightPoints(emitters, settings.light_points)
         table = BsdfTable(world.scene, self.spec.lobes)
 

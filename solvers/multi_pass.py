@@ -158,7 +158,7 @@ class MultiPassRun:
         """Yield the share of the first pass done and what is being done."""
         s, run = self.settings, self.run
         yield from self.outside.run(0.2)
-        run.warnings += light_notices(self.elements, self.outside.straight)
+        run.warnings += light_notices(self.elements, self.outside.lamps.emitters, self.outside.straight)
         for share in self.answer.prepare():
             yield 0.2 + 0.1 * share, f"Receivers, {share:.0%}"
         # Light of lamps via mirrors is indirect; it comes in after the state has begun, as its second class.

@@ -155,7 +155,7 @@ class FirstPass:
         """Yield the share done and what is being done."""
         # 1. Light of lamps and background, straight and via mirrors.
         yield from self.outside.run(0.4)
-        self.warnings += light_notices(self.elements, self.outside.straight)
+        self.warnings += light_notices(self.elements, self.outside.lamps.emitters, self.outside.straight)
         # 2. Fext(ij) of the sides that reflect diffusely, or that are asked for.
         t = self.transport
         sides = np.arange(len(t.area)) if self.all_sides else np.flatnonzero(t.rho.max(axis=1) > 0)

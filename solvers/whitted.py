@@ -27,7 +27,7 @@ from ..adjoint_gi.core.bsdf import table as bsdf
 from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES, DIFFUSE, LOBE_KINDS, LOBES, REFRACTING, SHINING
 from ..adjoint_gi.core.lights.direct import INF, Hit, from_hits
 from ..adjoint_gi.core.lights.emitters import Emitters
-from ..adjoint_gi.core.lights.light_points import LightPoints, phong_lobe
+from ..adjoint_gi.core.lights.light_points import LightPoints, background_notices, phong_lobe
 from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.registry import DETERMINISTIC, GATHERING, MethodSpec, Solver, lines, register
 from ..adjoint_gi.core.method.solution import Step
@@ -109,6 +109,7 @@ class Whitted(Solver):
         emitters = Emitters(world)
         tracer = MirrorTracer(world, emitters, settings)
         notices = rough_notices(world, settings.rough) + unmet_lamps.notices(emitters, sized=True)
+        notices += background_notices(emitters, settings.ambient)
         batch, doubling = guarded(tracer, self.spec.label)
         # Lo = Le + lights + ambient + mirrored and refracted rays (Eq. 9), at every receiver's fixed points.
         yield from Run(self.spec, world, receivers, settings, emitters, notices + doubling).fixed_points(tracer.estimate, batch)

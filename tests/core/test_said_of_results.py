@@ -4,14 +4,16 @@ import dataclasses
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.elements.closeness import close_light
+from adjgi.adjoint_gi.core.elements.closeness import close_light, lamp_spots
 from adjgi.adjoint_gi.core.elements.elements import Elements
 from adjgi.adjoint_gi.core.flux.tally import Batch, Tally
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
+from adjgi.adjoint_gi.core.lights.lamps import Lamps
 from adjgi.adjoint_gi.core.method import noise
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
+from adjgi.adjoint_gi.core.scene.arrays import Light
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.gathering import Run
 from adjgi.adjoint_gi.core.walks.particles import Ends
@@ -37,6 +39,25 @@ def room(gap):
     return World(b.build())
 
 
+def lit(lamp):
+    """The same room with a lamp alone."""
+    b = SceneBuilder()
+    b.box("Room", (0, 0, 0), (4, 4, 3), diffuse("White", 0.7), inward=True)
+    b.light(lamp)
+    return World(b.build())
+
+
+def spot(x):
+    """A spot 2 cm from a wall that shines along +x or -x."""
+    axes = {"axis_x": (0, 1, 0), "axis_y": (0, 0, -x), "axis_z": (-x, 0, 0)}
+    return Light("Lamp", "spot", (1.0, 1.0, 1.0), position=(0.02, 2.1, 1.4), spot_angle=1.0, **axes)
+
+
+def area(z):
+    """A panel 2 cm below the ceiling that shines down, or up."""
+    return Light("Lamp", "area", (1.0, 1.0, 1.0), position=(2, 2, 2.98), size_x=1, size_y=1, axis_y=(0, z, 0), axis_z=(0, 0, z))
+
+
 def said(solution, words):
     """The notices that have these words."""
     return [w for w in solution.warnings if words in w.reason]
@@ -59,6 +80,35 @@ def test_closeness_is_that_of_the_elements_and_not_of_the_scene(gap, edge, share
     assert np.isinf(nearest).all() if share == 0 else nearest.min() == pytest.approx(gap, rel=0.6)
 
 
+LAMPS = {  # at 2 cm from a wall or a ceiling, and the share of its light that begins so at elements of 0.5 m
+    "point": (Light("Lamp", "point", (1.0, 1.0, 1.0), position=(0.02, 2, 1.5)), 0.46),
+    "spot at a wall": (spot(-1), 1.0),
+    "spot into the room": (spot(1), 0.0),
+    "area below a ceiling, up": (area(-1), 1.0),
+    "area below a ceiling, down": (area(1), 0.0),
+    "sun": (Light("Lamp", "sun", (1.0, 1.0, 1.0)), 0.0),
+}
+
+
+@pytest.mark.parametrize("kind", LAMPS)
+def test_spots_of_lamps_that_are_smaller_than_elements_are_found(kind):
+    """By the closed form, of a point: half of it goes to the wall, of that what is nearer than 0.25 m, 1 - 0.02 / 0.25."""
+    lamp, share = LAMPS[kind]
+    world = lit(lamp)
+    spots = lamp_spots(Elements(world, 0.5), Lamps(world))
+    assert spots.close.sum() == pytest.approx(share * spots.reflected, abs=0.02 * max(spots.reflected, 1e-9))
+    assert not share or spots.nearest.min() == pytest.approx(0.02, rel=0.05)
+
+
+@pytest.mark.parametrize("name", ON_ELEMENTS)
+def test_a_lamp_beside_a_wall_is_said_by_methods_on_elements(name):
+    """Also where no point of an element looks into the spot, which is no reason to call the room dark."""
+    world = lit(LAMPS["spot at a wall"][0])
+    found = solve(name, world, scattered(world, 20), seed=1, **ON_ELEMENTS[name], light_samples=1)
+    (one,) = said(found, "closer than elements are wide")
+    assert one.names == ("Lamp",) and "0.02 m" in one.remedy and not said(found, "nothing emits")
+
+
 def test_corners_of_rooms_are_not_close():
     for scene in (scenes.cube(0.5, 1.0), scenes.room(), scenes.two_zone_sphere(2)):
         world = World(scene)
@@ -66,6 +116,19 @@ def test_corners_of_rooms_are_not_close():
             e = Elements(world, 0.0, target)
             flux = np.repeat(e.area, 2)
             assert close_light(e, flux)[0].sum() < 0.02 * flux.sum()
+
+
+@pytest.mark.parametrize("name", ["local_illumination", "whitted"])
+def test_a_background_that_lights_nothing_is_said_once(name):
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("White", 0.7))
+    b.background = (0.5, 0.5, 0.2)
+    world = World(b.build())
+    dark = solve(name, world, scattered(world, 5))
+    (one,) = said(dark, "black")
+    assert one.object == "World" and "0.4" in one.remedy and not dark.direct.any()
+    assert not said(solve(name, world, scattered(world, 5), ambient=0.4), "black")
+    assert not said(solve(name, room(0.5), scattered(room(0.5), 5)), "black")
 
 
 def test_noise_is_said_with_what_it_takes():

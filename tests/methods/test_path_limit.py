@@ -22,6 +22,7 @@ QUICK = {
     "progressive_radiosity": {"rays": 10_000, **COARSE},
     "stochastic_jacobi": {"rays": 10_000, **COARSE},
     "spherical_harmonics": {"rays": 10_000, "order": 0, **COARSE},
+    "directional_radiosity": {"rays": 8, "bin_rows": 2, "bin_columns": 4, **COARSE},
 }
 
 

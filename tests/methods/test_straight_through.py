@@ -203,6 +203,33 @@ def test_light_between_elements_takes_the_colour_of_sheets(way):
     assert level.mean() == pytest.approx(1, rel=0.05)
 
 
+def leaf(opacity):
+    """A card that scatters and glows by its `opacity`."""
+    return Material("Leaf", (Lobe("transparent", opacity.complement()), Lobe("diffuse", opacity), Lobe("emission", opacity)))
+
+
+NEARLY_CLEAR = {
+    "holes": (leaf(Color((Term((1.0, 1.0, 1.0), (Source("image", texture=0, alpha=True),)),))), 1.0),
+    "haze": (sheet(0.99, Lobe("diffuse", Color.of(0.01))), 0.99**10),
+}
+
+
+@pytest.mark.parametrize("way", ["matrix", "progressive"])
+@pytest.mark.parametrize("kind", NEARLY_CLEAR)
+def test_ten_nearly_clear_cards_hold_back_no_more_than_they_do(kind, way):
+    """Of a panel over a black floor, all light taken from elements: the holes of a cut-out let all of it pass, a haze what it says."""
+    (name, options), (material, share) = COLOURED[way], NEARLY_CLEAR[kind]
+    holes = Texture("Leaf", np.concatenate([np.ones((2, 2, 3)), np.zeros((2, 2, 1))], axis=2).astype(np.float32), interpolation="Closest")
+    found = []
+    for layers in (0, 10):
+        b = under(material, None, layers)
+        b.quad("Panel", (-1, -1, 1.5), (0, 2, 0), (2, 0, 0), diffuse("Panel", 0.0, 2.0))
+        scene = dataclasses.replace(b.build(), textures=(holes,))
+        options = options | {"max_edge": 2.0, "rays": {"matrix": 512, "progressive": 60_000}[way], "direct_light": "elements"}
+        found.append(solve(name, World(scene), quad_points(*grid(2)), **options).direct.mean())
+    assert found[1] / found[0] == pytest.approx(share, rel=0.04)  # with a chance of 0.98 a card: 0.82
+
+
 @pytest.mark.parametrize("scheme", ["jacobi", "southwell"])
 @pytest.mark.parametrize("factors", ["matrix", "rays"])
 @pytest.mark.parametrize("receivers", ["objects", "camera"])

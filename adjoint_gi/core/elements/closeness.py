@@ -2,20 +2,26 @@
 
 An element is one number: what it gets from a panel a centimetre away is spread over its whole width, and reflected from there. How much of
 the light is in such places is found by a few rays from each element that sends any: its middle distance to what they meet, against its
-width.
+width. A lamp beside a wall lights a spot of it that is smaller than an element: that is found by particles from lamps, and the width of the
+elements they meet.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..base.errors import Notice
+from ..lights.emission import Emission
+from ..lights.lamps import Lamps
 from ..scene.arrays import RayKind
 from .elements import Elements
 from .rays import ElementRays
 
 RAYS = 8  # from each side
 MOST_SIDES = 8000  # that send most
+PARTICLES = 1 << 12  # from lamps
 CLOSE = 0.5  # of an element's width
 TOLD = 0.02  # share of the light that is worth a notice
 NAMED = 3  # objects
@@ -46,20 +52,52 @@ def close_light(elements: Elements, flux: np.ndarray) -> tuple[np.ndarray, np.nd
     return np.bincount(owner, flux[sides[near]], objects), nearest
 
 
-def notices(elements: Elements, flux: np.ndarray) -> tuple[Notice, ...]:
-    """Says which objects send light to surfaces too close for their elements, where that is much of the light."""
-    total = float(flux.sum())
-    if total <= 0:
-        return ()
+@dataclass(frozen=True, eq=False)
+class Spots:
+    """What surfaces reflect straight from lamps that have a place: `reflected` of all, and by lamp: names, `close` (k,) of it, where lamps
+    are closer than elements are wide, both W, and the least distance (k,) there, inf where there is none."""
+
+    names: tuple[str, ...]
+    close: np.ndarray
+    nearest: np.ndarray
+    reflected: float
+
+
+def lamp_spots(elements: Elements, lamps: Lamps) -> Spots:
+    """By particles, always the same."""
+    sources = [s for s in lamps.sources() if not s.kind.far]
+    if not sources:
+        return Spots((), np.zeros(0), np.zeros(0), 0.0)
+    world = elements.world
+    emission = Emission(world, sources)
+    p = emission.draw(PARTICLES, np.random.default_rng(0))
+    triangle, u, v, t = world.intersect(p.origin, p.direction, p.kind)
+    met = np.flatnonzero((triangle >= 0) & (t >= p.dark))
+    element = elements.locate(triangle[met], u[met], v[met])
+    sent = (p.weight[met] * elements.albedo[element]).sum(axis=1)
+    near = (t[met] < CLOSE * np.sqrt(elements.area[element])) & (sent > 0)
+    nearest = np.full(len(sources), np.inf)
+    np.minimum.at(nearest, p.light[met[near]], t[met[near]])
+    close = np.bincount(p.light[met[near]], sent[near], len(sources))
+    return Spots(emission.names, close, nearest, float(sent.sum()))
+
+
+def notices(elements: Elements, flux: np.ndarray, lamps: Lamps) -> tuple[Notice, ...]:
+    """Says which objects and lamps send light to surfaces too close for their elements, where that is much of the light."""
     part, nearest = close_light(elements, flux)
-    share = float(part.sum()) / total
-    if share < TOLD:
+    spots = lamp_spots(elements, lamps)
+    # Points of elements that look at the lamps may miss such a spot: then particles know better how much there is.
+    emitted = float((2 * elements.area * elements.emitted.sum(axis=1)).sum())
+    total = max(float(flux.sum()), emitted + spots.reflected)
+    part, nearest = np.concatenate([part, spots.close]), np.concatenate([nearest, spots.nearest])
+    if total <= 0 or part.sum() < TOLD * total:
         return ()
-    objects = elements.world.scene.objects
     most = np.argsort(-part, kind="stable")[: int((part > 0).sum())]
-    names = tuple(objects[i].name for i in most)
+    every = [x.name for x in elements.world.scene.objects] + list(spots.names)
+    names = tuple(every[i] for i in most)
     listed = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
     closest = float(nearest[most].min())
-    reason = f"lights surfaces {closest:.2g} m away, closer than elements are wide: {share:.0%} of the light begins so, and is wrong there"
+    share = f"{min(part.sum() / total, 1.0):.0%}"
+    reason = f"lights surfaces {closest:.2g} m away, closer than elements are wide: {share} of the light begins so, and is wrong there"
     remedy = f"Set Max Element Edge (max_edge) to {closest:.1g} m or less, or take Path Tracing, which has no elements"
     return (Notice(listed, reason, remedy, names=names),)

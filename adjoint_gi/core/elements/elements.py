@@ -16,6 +16,7 @@ from ..receivers.base import POINTS_PER_CHUNK, Points, Receivers
 from ..receivers.inside import Interiors
 from ..sampling.additive import STEPS, additive
 from ..scene.arrays import SceneArrays
+from ..scene.passing import MOST_GREY, Passing
 from ..scene.world import Surface, World
 from .smooth import Nodes
 
@@ -190,7 +191,12 @@ class Elements:
         self.albedo = self.mean(shading.albedo, shading.albedo_varies)
         self.emitted = np.pi * self.mean(shading.emission, shading.emission_varies)
         passing = self.world.passing
-        self.stays = None if passing is None else 1 - self.mean(lambda *at: passing.grey(*at)[:, None], True)[:, 0]
+        self.stays = None if passing is None else self._stays(passing)
+
+    def _stays(self, passing: Passing) -> np.ndarray:
+        """(count,) float64 chance that rays stay. Where all looks fall into holes of a cut-out a little is left, for rays that do not."""
+        out = 1 - self.mean(lambda *at: passing.grey(*at)[:, None], True)[:, 0]
+        return np.where(passing.full[self.patch_triangle[self.patch]], out, np.maximum(out, 1 - MOST_GREY))
 
     @cached_property
     def held(self) -> Held:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..base.errors import Notice
 from ..bsdf import table as bsdf
 from ..bsdf.lobes import HIGHLIGHT
 from ..sampling.additive import STEPS, additive
@@ -74,6 +75,15 @@ class LightPoints:
                     radiance[lit] *= np.where(s.shadow[lit, None], share, np.float32(1))
                 cast = len(lit)
             yield wi, cosine, radiance, weight.astype(np.float32), cast
+
+
+def background_notices(emitters: Emitters, ambient: float) -> tuple[Notice, ...]:
+    """Says that these elements have none of the background's light, unless an `ambient` radiance stands for it."""
+    if ambient > 0 or not emitters.any_background:
+        return ()
+    mean = float(np.mean(emitters.world.scene.background))
+    remedy = f"Set Ambient Radiance (ambient) to its mean, {mean:.3g}, or use Path Tracing"
+    return (Notice("World", "lights no surface in this method: what it alone lights is black", remedy),)
 
 
 def exponent(roughness: np.ndarray) -> np.ndarray:

@@ -97,7 +97,7 @@ class ElementRun:
 
     def check_lit(self, arriving: np.ndarray) -> None:
         """Say so where nothing emits and nothing arrives from outside the elements, `arriving` (2 ne, ..)."""
-        self.warnings += light_notices(self.elements, arriving)
+        self.warnings += light_notices(self.elements, self.emitters, arriving)
 
     # ---- results
 

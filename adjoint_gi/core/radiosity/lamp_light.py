@@ -81,14 +81,15 @@ class LampLight:
             yield done / total
 
 
-def light_notices(elements: Elements, irradiance: np.ndarray) -> tuple[Notice, ...]:
+def light_notices(elements: Elements, emitters: Emitters, irradiance: np.ndarray) -> tuple[Notice, ...]:
     """Warnings where nothing gives light at all, and where light starts too close to other surfaces for the elements.
 
     irradiance (2 ne, ..): of lamps and background.
     """
-    if elements.emitted.any() or irradiance.any():
-        sent = np.repeat(elements.emitted, 2, axis=0)
-        if irradiance.shape == sent.shape:
-            sent = sent + np.repeat(elements.albedo, 2, axis=0) * irradiance
-        return closeness.notices(elements, np.repeat(elements.area, 2) * sent.sum(axis=1))
+    sent = np.repeat(elements.emitted, 2, axis=0)
+    if irradiance.shape == sent.shape:
+        sent = sent + np.repeat(elements.albedo, 2, axis=0) * irradiance
+    close = closeness.notices(elements, np.repeat(elements.area, 2) * sent.sum(axis=1), emitters.lamps)
+    if close or elements.emitted.any() or irradiance.any():
+        return close
     return (Notice("Scene", "nothing emits light that reaches a surface, so the result is black", "Add a lamp, emission or a background"),)

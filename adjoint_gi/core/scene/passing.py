@@ -11,14 +11,15 @@ import numpy as np
 from .arrays import STRAIGHT, Color, Material, SceneArrays
 from .shading import ColorField
 
-MOST_GREY = 0.98  # chance at most to pass what scatters or emits, so that its light is not lost
+MOST_GREY = 0.98  # chance at most to pass where something scatters or emits, so that its light is not lost
 MOST_LAYERS = 1024  # surfaces that a ray passes; what lies behind more of them is taken as hidden
 
 
 class Passing:
     """What the triangles of a scene let straight through.
 
-    lets (nt + 1,) bool: whether any; the last entry is for rays that hit nothing. tinted: whether the colour of any is not grey.
+    lets (nt + 1,) bool: whether any; the last entry is for rays that hit nothing. tinted: whether the colour of any is not grey, or more
+    of it than `MOST_GREY` beside what scatters. full (nt,) bool: nothing on it scatters or emits.
     """
 
     def __init__(self, scene: SceneArrays) -> None:
@@ -27,9 +28,10 @@ class Passing:
         self._rest = ColorField([_scattered(m) for m in scene.materials], scene)
         may = np.array([not m.total(STRAIGHT).is_black for m in scene.materials] or [False])
         self.lets = np.append(may[material], False)
-        full = [_scattered(m).is_black and m.total("emission").is_black for m in scene.materials]
+        self._glow = ColorField([m.total("emission") for m in scene.materials], scene)
+        full = [_is_full(m) for m in scene.materials]
+        self.full = np.array(full or [True], bool)[material]
         self.tinted = _tinted(scene)
-        self._most = np.where(full, 1.0, MOST_GREY).astype(np.float32)[material]
 
     @classmethod
     def of(cls, scene: SceneArrays) -> Passing | None:
@@ -42,8 +44,14 @@ class Passing:
         return np.maximum(self._straight.at(triangle, u, v), np.float32(0))
 
     def grey(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """(n,) float32 chance to pass for rays that carry no colour: the mean share, but less than 1 where surfaces send light."""
-        return np.minimum(self.through(triangle, u, v).mean(axis=1), self._most[triangle])
+        """(n,) float32 chance to pass for rays that carry no colour: the mean share, but less than 1 where surfaces send light; the holes
+        of a cut-out send none."""
+        out = self.through(triangle, u, v).mean(axis=1)
+        high = np.flatnonzero((out > MOST_GREY) & ~self.full[triangle])
+        at = triangle[high], u[high], v[high]
+        sends = np.maximum(self._rest.at(*at), self._glow.at(*at)).max(axis=1) > 0
+        out[high] = np.where(sends, np.float32(MOST_GREY), np.minimum(out[high], 1))
+        return np.minimum(out, 1)
 
     def color(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """(n, 3) float32 factor on what rays carry that go on by the chance `grey`: its mean over all rays is the colour."""
@@ -64,9 +72,16 @@ class Passing:
 
 
 def _tinted(scene: SceneArrays) -> bool:
-    """Whether the colour of what goes straight through any material in use is not grey."""
-    terms = (t for i in np.unique(scene.material) for t in scene.materials[i].total(STRAIGHT).terms)
-    return any(len(set(t.constant)) > 1 or any(not s.alpha for s in t.sources) for t in terms)
+    """Whether the chance to pass alone is not the share of what goes straight through any material in use."""
+    used = [scene.materials[i] for i in np.unique(scene.material)]
+    capped = any(not _is_full(m) and max(m.total(STRAIGHT).constant) > MOST_GREY and m.total(STRAIGHT).is_constant for m in used)
+    terms = (t for m in used for t in m.total(STRAIGHT).terms)
+    return capped or any(len(set(t.constant)) > 1 or any(not s.alpha for s in t.sources) for t in terms)
+
+
+def _is_full(material: Material) -> bool:
+    """Whether it does nothing but let light through."""
+    return _scattered(material).is_black and material.total("emission").is_black
 
 
 def _scattered(material: Material) -> Color:
