@@ -93,6 +93,31 @@ def test_a_room_turned_inside_out_is_no_body(put):
     assert not found(b)[1].any()
 
 
+GLOWING = diffuse("Glowing", 0.4, 1.0)
+
+
+@pytest.mark.parametrize("name", ["path_tracing", "particle_tracing", "matrix_radiosity"])
+def test_what_lies_in_a_lantern_has_its_light(name):
+    """Radiance 1 / (1 - 0.4) all around a small white sheet: pi / 0.6, which particles had as 0 and elements without what is reflected."""
+    b = SceneBuilder()
+    b.quad("Sheet", (-0.05, -0.05, 0.3), (0.1, 0, 0), (0, 0.1, 0), diffuse("White", 1.0))
+    b.mesh("Lantern", *icosphere(1), GLOWING)
+    world = World(b.build())
+    options = {"particle_tracing": {"particles": 60_000}, "matrix_radiosity": {"max_edge": 1.0, "rays": 256}}
+    found = solve(name, world, rasterize(world, [0], resolution=4).receivers, **options.get(name, {}))
+    assert found.quantity("irradiance").mean() == pytest.approx(np.pi / 0.6, rel=0.05)
+
+
+def test_a_glowing_block_on_the_floor_is_a_body_and_a_glowing_dome_is_none():
+    b = floor()
+    block(b, "Panel", *WALL, material=GLOWING)
+    point, inside = found(b)
+    assert np.array_equal(inside, within(point, *WALL))
+    b = floor()
+    block(b, "Sky", (-1, -1, -1), (11, 11, 9), material=GLOWING)
+    assert not found(b)[1].any()
+
+
 LOOKALIKES = {
     "a sheet of a decal": lambda b: b.quad("Decal", (2, 2, 1e-3), (3, 0, 0), (0, 3, 0), WHITE),
     "a sheet turned down": lambda b: b.quad("Decal", (2, 2, 1e-3), (0, 3, 0), (3, 0, 0), WHITE),

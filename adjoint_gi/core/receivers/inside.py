@@ -1,8 +1,9 @@
 """Points of a surface that lie inside a body: below a wall that stands on the floor, where no light is and none is meant to be seen.
 
 A body is a piece of a mesh that is closed, or open only towards the plane that the point lies in, turned outward and opaque. From inside,
-rays meet the backs of its faces. What holds a lamp, an emitting face or the camera is a room and no body. A body that hovers by GAP of its
-width, or stands open in the floor down to SUNK of its extent, counts as if it stood on the surface.
+rays meet the backs of its faces. What holds a lamp, an emitting face or the camera is a room and no body, and so is what emits itself, a
+dome or a lantern, and holds an object. A body that hovers by GAP of its width, or stands open in the floor down to SUNK of its extent,
+counts as if it stood on the surface.
 """
 
 from __future__ import annotations
@@ -136,10 +137,12 @@ class Bodies:
         """Those of `objects`, except where a lamp, an emitting face or the camera is inside."""
         label, found = np.full(world.triangle_count, -1, np.int32), []
         passing = np.array([not material.total(*PASSING).is_black for material in world.scene.materials])
+        emits = world.shading.emissive()
         for index in objects:
             obj = world.scene.objects[index]
             for triangles, *body in _pieces(world, obj):
-                if not passing[world.scene.material[triangles]].any():
+                lantern = emits[triangles].any() and _holds_an_object(world, triangles)
+                if not (lantern or passing[world.scene.material[triangles]].any()):
                     label[triangles] = len(found)
                     found.append(body)
         plane, near, extent = (np.array([body[k] for body in found]) for k in range(3))
@@ -193,6 +196,17 @@ def _sources(world: World) -> tuple[np.ndarray, np.ndarray]:
     middle = world.surface(emitting, np.full(len(emitting), 1 / 3, np.float32), np.full(len(emitting), 1 / 3, np.float32))
     points = np.concatenate([np.array(places, np.float64).reshape(-1, 3) - world.center, world.leave(middle)])
     return points.astype(np.float32), np.concatenate([np.full(len(places), -1), emitting]).astype(np.int64)
+
+
+def _holds_an_object(world: World, triangles: np.ndarray) -> bool:
+    """Whether the box around `triangles` holds that around an object, not of theirs, with all its faces."""
+    scene = world.scene
+    corners = scene.vertices[scene.triangles[triangles]]
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    within = ((scene.vertices > low) & (scene.vertices < high)).all(axis=1)
+    own = scene.object[triangles[0]]
+    others = (o for k, o in enumerate(scene.objects) if k != own and o.vertex_count)
+    return any(within[o.first_vertex : o.first_vertex + o.vertex_count].all() for o in others)
 
 
 def _pieces(world: World, obj: ObjectArrays) -> list[tuple[np.ndarray, np.ndarray, float, np.ndarray]]:
