@@ -11,9 +11,11 @@ import bpy
 import pytest
 from adjgi.adjoint_gi.bridge.baking.bake import preflight
 from adjgi.adjoint_gi.bridge.cli.arguments import make_parser
+from adjgi.adjoint_gi.bridge.comparison.cycles_reference import coat_notices
 from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import baking
-from adjgi.tests.cycles_patch import add_light, diffuse_material, empty_material
+from adjgi.tests.cycles_patch import add_light, diffuse_material, empty_material, shader_material, white_plane
 from adjgi.tests.hostile import CUBE, SQUARE, mesh, put
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -212,3 +214,12 @@ def test_buttons_that_messages_name_exist(registered):
     assert named
     for text in named:
         assert any(text.strip() == label or text.strip().startswith(label) for label in labels), text
+
+
+@pytest.mark.parametrize(("level", "metallic", "said"), [(0.5, 0.0, True), (0.0, 0.0, False), (0.5, 1.0, False)])
+def test_comparisons_with_cycles_name_bases_below_coats(level, metallic, said):
+    """Not those without a coat, or a metal's, which has no base."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    white_plane(2.0, shader_material("Paint", "ShaderNodeBsdfPrincipled", Specular_IOR_Level=level, Metallic=metallic))
+    found = coat_notices(World(arrays()))
+    assert [n.object for n in found] == ["Paint"] * said

@@ -98,9 +98,9 @@ GLOWING = diffuse("Glowing", 0.4, 1.0)
 
 @pytest.mark.parametrize("name", ["path_tracing", "particle_tracing", "matrix_radiosity"])
 def test_what_lies_in_a_lantern_has_its_light(name):
-    """Radiance 1 / (1 - 0.4) all around a small white sheet: pi / 0.6, which particles had as 0 and elements without what is reflected."""
+    """Radiance 1 / (1 - 0.4) all around a white sheet: pi / 0.6, which particles had as 0 and elements without what is reflected."""
     b = SceneBuilder()
-    b.quad("Sheet", (-0.05, -0.05, 0.3), (0.1, 0, 0), (0, 0.1, 0), diffuse("White", 1.0))
+    b.quad("Sheet", (-0.4, -0.4, 0.3), (0.8, 0, 0), (0, 0.8, 0), diffuse("White", 1.0))
     b.mesh("Lantern", *icosphere(1), GLOWING)
     world = World(b.build())
     options = {"particle_tracing": {"particles": 60_000}, "matrix_radiosity": {"max_edge": 1.0, "rays": 256}}

@@ -27,6 +27,8 @@ from ..results.image import read_pixels
 from ..results.real import in_place
 
 FEW = 0.25  # share of texels on one triangle below which those on one plane serve too
+BASES = ("diffuse", "rough diffuse")  # what coats lie over
+NAMED = 3  # materials
 HALVES = 2  # bakes with different seeds, whose difference gives the noise
 # Nothing that changes the mean, and no more light paths than ours.
 PLAIN = {
@@ -57,7 +59,7 @@ def bake_reference(
     began = time.perf_counter()
     values = np.zeros((HALVES, count, 3))
     valid = np.zeros(count, bool)
-    notices: list[Notice] = []
+    notices = list(coat_notices(world))
     objects = [find_objects(sheet.uids, sheet.name)[0] for sheet in sheets]
     with _cycles(context.scene, max_length), in_place(objects, context.view_layer):
         for obj, sheet in zip(objects, sheets, strict=True):
@@ -74,6 +76,19 @@ def bake_reference(
     noise = float(np.sqrt((0.25 * (values[0] - values[1])[valid] ** 2).mean()) / max(values[:, valid].mean(), 1e-300))
     label = f"Cycles bake, {samples} samples"
     return Reference(label, values.mean(axis=0), valid, noise, time.perf_counter() - began, tuple(notices))
+
+
+def coat_notices(world: World) -> tuple[Notice, ...]:
+    """Says that Cycles and we differ below coats, where the scene has any (docs/cycles-differences.md has the table)."""
+    used = [world.scene.materials[i] for i in np.unique(world.scene.material)]
+    coated = [m.name for m in used if any(x.kind == "specular" and not x.is_black for x in m.lobes) and not m.total(*BASES).is_black]
+    if not coated:
+        return ()
+    reason = (
+        "has a base that Cycles dims by the angle of view alone: rooms of it get 2 to 3 % less there of lamps that shine straight at walls"
+    )
+    listed = ", ".join(coated[:NAMED]) + (f" and {len(coated) - NAMED} more" if len(coated) > NAMED else "")
+    return (Notice(listed, reason, "Nothing is wrong; set Specular IOR Level to 0 to compare without", "info", names=tuple(coated)),)
 
 
 def _problem(obj: bpy.types.Object) -> str:
