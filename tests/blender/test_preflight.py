@@ -385,7 +385,7 @@ def test_memory_is_estimated_and_refused(monkeypatch):
 def test_big_scenes_are_left_to_the_bake(monkeypatch):
     plane(emission=(1, 1, 1))
     monkeypatch.setattr(module, "QUICK", 1)
-    monkeypatch.setattr(module, "extract", None)
+    monkeypatch.setattr(module, "extracting", None)
     assert any("looked at when the bake starts" in n.reason for n in said())
 
 
