@@ -329,3 +329,22 @@ def test_an_instance_that_cannot_receive_is_left_out_where_others_do():
     made = Bake(bpy.context, asked(uv_layer="Mine"))
     assert [n.object for n in made.notices if "not baked" in n.reason and n.severity == "warning"] == ["table[other.0]"]
     assert len(real.objects_of(bpy.context.scene)) == 3 and len(made.driver.world.scene.objects) == 4
+
+
+def test_the_selection_goes_to_what_is_seen_of_an_instancer_and_comes_back(registered):
+    """From the instancer to an object of its instances, and from there to the object with that one's attribute."""
+    on_points()
+    add_light("SUN", energy=SUN)
+    scene, layer = bpy.context.scene, bpy.context.view_layer
+    for obj in scene.objects:
+        obj.select_set(obj.name == "host")
+    before = user_data()
+    state = quick(scene, "path_tracing")
+    state.target, state.new_object, state.instances, state.selection_only = "attribute", True, True, True
+    assert bpy.ops.adjoint_gi.bake() == {"FINISHED"}
+    assert results.show(scene, layer) == 2
+    (chosen,) = layer.objects.selected
+    assert chosen.visible_get() and not real.is_real(chosen) and results.selected(layer) == ("host",)
+    clear()
+    BAKES.forget()
+    assert user_data() == before

@@ -6,6 +6,7 @@ from __future__ import annotations
 import bpy
 import pytest
 from adjgi.adjoint_gi.bridge.baking.bake import preflight, rehearse
+from adjgi.adjoint_gi.bridge.cli.bake import save_blend
 from adjgi.adjoint_gi.bridge.results import attribute, image, lightmap_uv, links, preview, show, stored
 from adjgi.adjoint_gi.bridge.results.remove import remove_results
 from adjgi.tests import baking
@@ -109,3 +110,16 @@ def test_a_link_to_a_users_object_is_not_taken_for_a_result(registered):
     assert stored.damaged() == [("floor", stored.RESULTS)]
     remove_results(bpy.context.scene)
     assert "mine" in bpy.data.objects and stored.RESULTS not in obj
+
+
+def test_a_saved_file_need_not_hold_what_blender_does_not_save(tmp_path):
+    """An image that nothing uses, and one of another file, however they are marked."""
+    for name in ("theirs", "unused"):
+        bpy.data.images.new(name, 1, 1)[stored.ABOUT] = "{}"
+    library = tmp_path / "library.blend"
+    bpy.data.libraries.write(str(library), {bpy.data.images["theirs"]}, fake_user=True)
+    bpy.data.images.remove(bpy.data.images["theirs"])
+    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
+        wanted.images = ["theirs"]
+    bpy.context.scene["uses"] = bpy.data.images["theirs"]
+    assert save_blend(tmp_path / "saved.blend") == str(tmp_path / "saved.blend")

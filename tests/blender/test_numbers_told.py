@@ -24,6 +24,9 @@ from adjgi.adjoint_gi.core.method.solution import EnergyBalance, Solution
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Camera
 from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.tests import baking, hostile
+from adjgi.tests.cycles_patch import add_light, diffuse_material
+from adjgi.tests.exr_layers import read_exr
 
 
 def solution(**values):
@@ -95,7 +98,8 @@ def test_the_noise_of_a_cycles_bake_is_half_of_what_its_halves_differ_by(monkeyp
     halves = iter((1.2, 0.8))
     image = SimpleNamespace(pixel=np.arange(4))
     sheet = SimpleNamespace(part=slice(0, 4), lightmap=image, uids=(), name="Sheet")
-    monkeypatch.setattr(cycles_reference, "_cycles", lambda *_: nullcontext())
+    for name in ("_cycles", "in_place"):
+        monkeypatch.setattr(cycles_reference, name, lambda *_: nullcontext())
     monkeypatch.setattr(cycles_reference, "find_objects", lambda *_: [None])
     monkeypatch.setattr(cycles_reference, "_problem", lambda _: "")
     monkeypatch.setattr(cycles_reference, "comparable", lambda *_: np.array([True, True, True, False]))
@@ -143,3 +147,20 @@ def test_a_budget_of_rays_is_in_millions(registered):
     state.budget, state.mega_rays = "rays", 2.0
     asked = request_of(bpy.context.scene, bpy.context.view_layer).budget
     assert (asked.kind, asked.value) == ("rays", 2e6)
+
+
+def test_the_file_of_all_parts_has_each_of_them_under_its_name(tmp_path):
+    """An emitting plane of albedo 0.25 and a wall below a sun."""
+    for name, corner in (("floor", (1, 1, 0)), ("wall", (1, 0, 1))):
+        made = hostile.mesh([(0, 0, 0), (corner[0], 0, 0), corner, (0, *corner[1:])], [(0, 1, 2, 3)], name=name)
+        made.data.materials.append(diffuse_material("grey", 0.25))
+    add_light("SUN", energy=2.0, rotation=(0.5, 0.4, 0))
+    found = baking.bake(baking.request(objects=("floor",), resolution=8, values={"samples": 4}, output=str(tmp_path)))
+    (path,) = [p for p in found.files if "components" in str(p)]
+    layers, (sheet,), solution = read_exr(path)[0], found.writer.sheets, found.driver.solution()
+    names = ("emitted", "direct", "indirect", "albedo")
+    for name in names:
+        right, covered = sheet.lightmap.image(getattr(solution, name)[sheet.part]), sheet.lightmap.covered
+        np.testing.assert_array_equal(layers[name][covered], right[covered])
+    assert len({layers[name].tobytes() for name in names}) == 4
+    np.testing.assert_array_equal(layers["coverage"][..., 0], sheet.lightmap.share)

@@ -7,6 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from adjgi.adjoint_gi.bridge.extract.mesh import read_mesh
 from adjgi.adjoint_gi.bridge.host.notices import Notices
 from adjgi.adjoint_gi.bridge.results import lightmap_uv as module
@@ -24,7 +25,9 @@ from adjgi.adjoint_gi.core.receivers import unwrap as module_unwrap
 from adjgi.adjoint_gi.core.receivers.texels import rasterize
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests.baking import make_lightmap_uv
+from adjgi.tests.blender.test_extract_colors import Graph
 from adjgi.tests.counting import counted
+from adjgi.tests.hostile import SQUARE, mesh
 
 SHAPES = {
     "cube": lambda: bpy.ops.mesh.primitive_cube_add(),
@@ -309,3 +312,45 @@ def test_projected_layers_are_told(monkeypatch):
 
 def test_padding_is_as_wide_as_the_image_allows():
     assert [paddings(n) for n in (64, 128, 256, 512, 4096)] == [(1, 0), (1, 0), (2, 1, 0), (4, 2, 1, 0), (4, 2, 1, 0)]
+
+
+@pytest.mark.parametrize("solid", [False, True], ids=["plain", "carried"])
+def test_images_do_not_lie_on_a_layer_of_ours(solid):
+    """An object without UVs has none for its images after a bake, either: what check has said, the bake says."""
+    obj = mesh(*SQUARE)
+    graph = Graph()
+    graph.show(graph.image().outputs["Color"])
+    obj.data.materials.append(graph.material)
+    if solid:
+        obj.modifiers.new("Solid", "SOLIDIFY")
+
+    def found():
+        bpy.context.view_layer.update()
+        arrays = extract(bpy.context.evaluated_depsgraph_get())
+        return arrays.objects[0], [str(n) for n in arrays.warnings]
+
+    _, before = found()
+    make_lightmap_uvs([obj], 64, (2,))
+    owner, after = found()
+    assert owner.uvs and owner.render_uv == "" and after == before and any("has no UV layer for the images" in n for n in after)
+
+
+@pytest.mark.parametrize("chosen", ["UVMap", "Later"])
+@pytest.mark.parametrize("shown", ["UVMap", "Later"])
+def test_layers_chosen_by_the_user_stay_chosen(chosen, shown):
+    """Also one that was made after ours, which takes another place in the list when ours goes."""
+    obj = add("cube")
+    make_lightmap_uv(obj)
+    layers = obj.data.uv_layers
+    layers.new(name="Later")
+    layers.active, layers[shown].active_render = layers[chosen], True
+
+    def now():
+        return layers.active.name, [x.name for x in layers if x.active_render]
+
+    make_lightmap_uv(obj)
+    assert now() == (chosen, [shown]) and len(layers) == 3
+    assert remove_lightmap_uv(obj)
+    assert now() == (chosen, [shown]) and len(layers) == 2
+    make_lightmap_uv(obj)
+    assert now() == (chosen, [shown]) and len(layers) == 3

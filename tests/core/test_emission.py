@@ -432,6 +432,17 @@ def test_cells_of_a_textured_triangle_cover_it_once():
     assert ((counts - expected) ** 2 / expected).sum() < 255 + Z * math.sqrt(510) + Z**2
 
 
+def test_no_part_of_a_picture_is_left_out_for_being_dark_where_it_was_looked_at():
+    """Bright spots may lie between the looks, so dark cells and triangles get a few particles and light points all the same."""
+    pixels = np.zeros((8, 8, 4), np.float32)
+    pixels[0, 7, :3] = 1  # in the first of both triangles
+    emission = Emission(textured_panel(pixels))
+    assert emission.mesh.triangles.tolist() == [0, 1] and (emission.mesh.density > 0).all()
+    (cells,) = emission.mesh.objects
+    radiance = cells.power / cells.full
+    assert (cells.flux.sum(axis=1) == 0).any() and radiance.min() > 0.04 * np.average(radiance, weights=cells.full)
+
+
 def test_several_lights_get_particles_by_power():
     b = SceneBuilder()
     b.quad("Panel", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Lamp", 0, 2.0))

@@ -40,3 +40,16 @@ def test_clipping_planes_count_from_the_camera(kind):
         receivers = wall(18.0, clip_start=1.0, clip_end=end)
         object.__setattr__(receivers.camera, "kind", kind)
         assert all((points.triangle >= 0).any() == seen for points in receivers.sites())
+
+
+@pytest.mark.parametrize("grid", [1, 2, 3])
+def test_the_fixed_rays_of_a_pixel_lie_evenly_about_its_middle(grid):
+    """Pixels are 2 m wide and high: rays of the first one from x = -9, of all from z = -1 to 1."""
+    receivers = CameraReceivers(wall(18.0).world, grid=grid)
+    (points,) = receivers.sites()
+    surface = receivers.world.surface(points.triangle, points.u, points.v)
+    x, _, z = (surface.position[points.receiver == 0] + receivers.world.center).T
+    even = 2 * (np.arange(grid) + 0.5) / grid
+    for at, corner in ((x, -9), (z, -1)):
+        assert sorted(set(np.round(at, 3))) == pytest.approx(corner + even, abs=1e-3)
+    assert len(x) == grid**2

@@ -15,7 +15,7 @@ from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Light
 from adjgi.adjoint_gi.core.scene.world import World
-from adjgi.adjoint_gi.core.walks.gathering import Run
+from adjgi.adjoint_gi.core.walks.gathering import Run, lights_of
 from adjgi.adjoint_gi.core.walks.particles import Ends
 from adjgi.tests import scenes
 from adjgi.tests.solving import scattered, solve
@@ -183,3 +183,12 @@ def test_settings_that_have_no_samples_are_told_of_rays():
     settings = dataclasses.replace(method("irradiance_cache").Settings(), rays=64)
     (one,) = noise.notices(0.5, settings, "Irradiance Caching", "irradiance", 1)
     assert one.remedy.startswith("More rays and light samples lower it.")
+
+
+def test_lights_are_lamps_that_shine_and_objects_that_emit():
+    b = SceneBuilder()
+    b.box("Screen", (0, 0, 0), (1, 1, 1), diffuse("Screen", 0.0, 1.0), inward=False)
+    b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), diffuse("Floor", 0.5))
+    for name, power in (("On", 1.0), ("Off", 0.0)):
+        b.light(Light(name, "point", (power,) * 3, (0, 0, 3)))
+    assert lights_of(Emitters(World(b.build()))) == 6 + 1  # each side is an object of two triangles

@@ -82,3 +82,27 @@ def test_as_bytes_is_exact():
     values = np.arange(256, dtype=np.float32) * np.float32(1 / 255)
     np.testing.assert_array_equal(as_bytes(values), np.arange(256))
     np.testing.assert_array_equal(as_bytes((np.arange(256) / 255).astype(np.float32)), np.arange(256))
+
+
+BEYOND = {"REPEAT": "wrap", "EXTEND": "edge", "CLIP": "constant", "MIRROR": "symmetric"}
+
+
+@pytest.mark.parametrize("extension", BEYOND)
+def test_beyond_its_borders_an_image_goes_on_as_it_says(extension):
+    """Three images away on all sides, of an image that is wider than it is high; between texels it is bilinear."""
+    pixels = np.random.default_rng(4).random((3, 5, 4)).astype(np.float32)
+    wide = np.pad(pixels, ((9, 9), (15, 15), (0, 0)), BEYOND[extension])
+    y, x = (a.ravel() for a in np.meshgrid(np.arange(-9, 11), np.arange(-15, 19), indexing="ij"))
+    closest = sample_texture(Texture("a", pixels, extension, "Closest"), np.stack([(x + 0.9) / 5, (y + 0.2) / 3], axis=1))
+    np.testing.assert_array_equal(closest, wide[y + 9, x + 15])
+    found = sample_texture(Texture("a", pixels, extension, "Linear"), np.stack([(x + 0.75) / 5, (y + 0.9) / 3], axis=1))
+    rows = [0.75 * wide[y + k, x + 15] + 0.25 * wide[y + k, x + 16] for k in (9, 10)]
+    np.testing.assert_allclose(found, 0.6 * rows[0] + 0.4 * rows[1], atol=1e-5)
+
+
+def test_parts_of_unequal_size_have_their_own_means(monkeypatch):
+    monkeypatch.setattr(textures, "BLOCK", 70)
+    whole = Texture("a", stored(4, size=(11, 6)))
+    ys, xs = (np.round(np.linspace(0, n, (n >> 1) + 1)).astype(int) for n in (11, 6))
+    parts = [[whole.pixels[a:b, c:d].mean(axis=(0, 1)) for c, d in zip(xs, xs[1:])] for a, b in zip(ys, ys[1:])]  # noqa: B905
+    np.testing.assert_allclose(whole.smaller(1).pixels, parts, rtol=1e-3)

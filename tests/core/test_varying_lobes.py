@@ -11,9 +11,10 @@ from adjgi.adjoint_gi.core.bsdf.multiscatter import Gains
 from adjgi.adjoint_gi.core.directional.bins import Bins
 from adjgi.adjoint_gi.core.directional.scattering import Scattering
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
-from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material, Source, Term, Texture
+from adjgi.adjoint_gi.core.scene.shading import ScalarField
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import load
 
@@ -169,3 +170,20 @@ def test_path_tracing_over_a_texture_of_roughness_is_that_over_two_materials():
         *_, last = solver.solve(world, receivers, solver.Settings(samples=64, max_length=4), np.random.default_rng(2))
         out.append(last.solution().quantity("irradiance"))
     assert np.allclose(*out, rtol=5e-3)
+
+
+def test_the_range_of_a_number_is_that_of_its_images():
+    """What lies outside of a clipped image is 0, and signs turn ranges round."""
+    pixels = np.ones((2, 2, 4), np.float32)
+    pixels[..., 0] = [[0.25, 0.5], [0.5, 0.75]]
+    other = pixels.copy()
+    other[..., 0] = [[-3.0, 0.5], [0.5, 1.0]]
+    scene = quads([diffuse("M", 0.5)], [Texture("A", pixels, extension) for extension in ("EXTEND", "CLIP")] + [Texture("B", other)])
+
+    def found(*numbers):
+        return ScalarField(list(numbers), scene, -10.0, 10.0).range(0)
+
+    assert found(image(0)) == (0.25, 0.75) and found(image(1)) == (0.0, 0.75)
+    assert found(image(0, -2.0)) == (-1.5, -0.5)
+    product = Color((Term((-1.0, 0.0, 0.0), (Source("image", "", 2), Source("image", "", 2))),))
+    assert found(product) == (-9.0, 3.0)

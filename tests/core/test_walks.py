@@ -3,14 +3,17 @@
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights import direct
 from adjgi.adjoint_gi.core.lights.direct import INF, LEAST
+from adjgi.adjoint_gi.core.lights.emission import Emission
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.sampling.maps import PI, columns
 from adjgi.adjoint_gi.core.scene.arrays import Light, RayKind
 from adjgi.adjoint_gi.core.scene.faces import Faces
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.diffuse_paths import STRATIFIED, VERTEX, DiffuseVertices, Numbers
+from adjgi.adjoint_gi.core.walks.particles import walk as particle_walk
 from adjgi.adjoint_gi.core.walks.paths import Paths, Walk, by_root, by_weight, follow
 from adjgi.adjoint_gi.core.walks.radiance import start
 from adjgi.adjoint_gi.core.walks.shooting import Departed, Flight, shoot
@@ -136,3 +139,28 @@ def test_what_is_met_too_near_or_too_far_on_the_first_segment_escapes():
     dark, reach = np.float32([0, 0.6, 0]), np.float32([2, 2, 0.4])
     (segment,) = shoot(world, flight, 3, absorb, np.random.default_rng(0), dark, reach)
     assert segment.row.tolist() == [0] and segment.away.tolist() == [1, 2] and segment.lost.shape == (2, 3)
+
+
+def test_what_bent_normals_add_is_in_the_balance():
+    """Inside a coarse smooth ball: what was emitted and what shading normals have added is absorbed, cut or escapes."""
+    vertices, triangles = scenes.icosphere(1)
+    b = SceneBuilder()
+    b.mesh("Ball", vertices, triangles[:, ::-1], diffuse("Grey", 0.7), smooth_normals=-vertices)
+    b.light(Light("Lamp", "point", (1.0, 2.0, 3.0), (0.5, 0.3, 0.1)))
+    world, rng = World(b.build()), np.random.default_rng(3)
+    ends = particle_walk(world, Emission(world).draw(4000, rng), 6, rng, lambda hits: None)
+    assert abs(ends.gained) > 1e-3 * ends.emitted_energy and ends.cut_energy > 0
+    accounted = ends.absorbed_energy + ends.escaped_energy + ends.cut_energy
+    assert ends.emitted_energy + ends.gained == pytest.approx(accounted, rel=1e-5)
+
+
+def test_light_from_far_away_that_misses_the_scene_is_no_light_of_it():
+    """A sun over a black square, and a background around it: what is emitted is what arrives."""
+    b = SceneBuilder()
+    b.quad("Black", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Black", 0.0))
+    b.light(Light("Sun", "sun", (1.0, 1.0, 1.0)))
+    b.background = (0.5, 0.5, 0.5)
+    world, rng = World(b.build()), np.random.default_rng(3)
+    ends = particle_walk(world, Emission(world).draw(4000, rng), 6, rng, lambda hits: None)
+    assert ends.escaped > 1000 and ends.escaped_energy == 0
+    assert ends.emitted_energy == pytest.approx(ends.absorbed_energy, rel=1e-5) and ends.absorbed_energy > 0

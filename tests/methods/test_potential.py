@@ -8,9 +8,10 @@ import math
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import AdjointError, MemoryRefused
+from adjgi.adjoint_gi.core.base.settings import NO_LIMIT
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
 from adjgi.adjoint_gi.core.flux.detectors import detector
-from adjgi.adjoint_gi.core.flux.potential_walks import _relative_error
+from adjgi.adjoint_gi.core.flux.potential_walks import _relative_error, walks_from_camera
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
@@ -325,3 +326,18 @@ def test_the_error_of_walks_is_that_of_the_mean_of_their_batches():
     each = sums.sum(axis=(1, 3)) / area
     mean, variance = each.mean(axis=0), each.var(axis=0, ddof=1) / 7
     assert found == pytest.approx(np.sqrt(area @ variance / (area @ mean**2)), rel=1e-9)
+
+
+def test_walks_from_the_camera_count_the_lengths_that_are_asked_for():
+    """Of two segments and more what is seen itself, and by one reflection, is none."""
+    world = World(camera_scene())
+    elements, detect = Elements(world, max_edge=2.0), detector(world, "camera")
+
+    def parts(low, high=NO_LIMIT):
+        *_, last = walks_from_camera(world, elements, detect, 4, low, high, np.random.default_rng(1))
+        return last.parts
+
+    whole, longer, shorter = parts(0), parts(2), parts(0, 1)
+    assert whole.any(axis=(1, 2)).all() and not longer[:2].any() and not shorter[2].any()
+    np.testing.assert_array_equal(longer[2], whole[2])
+    assert shorter[:2].any(axis=(1, 2)).all()

@@ -76,6 +76,9 @@ def test_one_every_bounce():
     s = solve(receivers, rays=100_000, tolerance=1e-7, min_length=2)
     assert not s.emitted.any() and not s.direct.any()
     assert np.allclose((area * s.indirect[0::2]).sum(axis=0) / 6, 1.0, rtol=1e-6)
+    # Of four segments and more: 1 / 8 + 1 / 16 + ...
+    s = solve(receivers, rays=100_000, tolerance=1e-7, min_length=4)
+    assert np.allclose((area * s.indirect[0::2]).sum(axis=0) / 6, 0.25, rtol=1e-5)
 
 
 def test_two_power_balance():

@@ -7,6 +7,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, RayKind, Source, Term, Texture
@@ -301,3 +302,32 @@ def test_passing_costs_no_segment():
 
 def test_scenes_without_such_surfaces_ask_nothing():
     assert World(scenes.cornell()).passing is None
+
+
+@pytest.mark.parametrize("name", ["matrix_radiosity", "progressive_radiosity", "stochastic_jacobi", "spherical_harmonics"])
+@pytest.mark.parametrize("kind", ["box", "free"])
+def test_sheets_that_let_all_light_through_change_nothing(name, kind):
+    """No ray stays on them, so their elements have no area that counts; they are lit, and nothing of that is not a number."""
+    found = []
+    for clear in (False, True):
+        b = SceneBuilder()
+        if kind == "box":
+            b.box("Room", (-1, -1, 0), (2, 2, 3), [diffuse("Wall", 0.5)] * 5 + [diffuse("Ceiling", 0.3, 0.3)], inward=True)
+        else:
+            b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), diffuse("Floor", 0.5))
+            b.quad("Wall", (1, -1, 0), (0, 0, 2), (0, 2, 0), diffuse("Wall", 0.5))
+        if clear:
+            b.quad("Sheet", (-0.6, -0.6, 1), (1.2, 0, 0), (0, 1.2, 0), sheet(1.0))
+        b.light(LAMPS["spot"])
+        options = {"max_edge": 1.0, "rays": 64 if name == "matrix_radiosity" else 3000, "light_samples": 1}
+        receivers = ElementReceivers(Elements(World(b.build()), 1.0))
+        found.append(solve(name, receivers, **options).quantity("irradiance"))
+    assert np.isfinite(found[1]).all() and found[1][len(found[0]) :].any()
+    assert found[1][: len(found[0])].mean() == pytest.approx(found[0].mean(), rel=0.02)
+
+
+def test_the_albedo_of_a_pixel_is_that_of_what_is_seen_by_its_share():
+    b = under(sheet(0.25), None, floor=0.8)
+    b.camera = look((0, 0, 3), (0, 0, -1), half=0.2, size=4)
+    world = World(b.build())
+    assert solve("local_illumination", world, CameraReceivers(world, grid=2)).albedo == pytest.approx(np.full((16, 3), 0.25 * 0.8))

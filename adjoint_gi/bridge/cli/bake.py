@@ -23,8 +23,8 @@ from ..baking.bake import Bake, rehearse
 from ..baking.report import of_bake
 from ..host import files
 from ..props.request import BakeRequest
-from ..results import kept
-from ..results.links import ABOUT
+from ..results import kept, stored
+from ..results.stored import ABOUT
 from .arguments import DONE, FAILED, INTERRUPTED, request_of, use_threads
 from .open import open_scene
 from .progress import Progress, seconds_text
@@ -196,7 +196,9 @@ def save_blend(path: Path) -> str:
     except OSError as error:
         raise WriteError(str(path), f"could not be read back ({error.strerror or error})", "Make room and try again") from None
     for kind, names in have.items():
-        missing = {block.name for block in getattr(bpy.data, kind) if ABOUT in block} - names
+        # Blender saves neither what nothing uses nor what belongs to another file.
+        kept = (block for block in getattr(bpy.data, kind) if block.users and block.library is None)
+        missing = {block.name for block in kept if stored.read(block, ABOUT) is not None} - names
         if missing:
             raise WriteError(str(path), f"does not hold {', '.join(sorted(missing))}", "Check the disk and try again")
     return str(path)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import bpy
 import numpy as np
@@ -17,6 +17,8 @@ from ..host.notices import Notices
 from ..host.versions import terminator_offset
 from ..results import links as targets
 from ..results import real as reals
+from ..results import stored
+from ..results.lightmap_uv import own_layer
 from ..results.preview import own_material
 from ..results.real import BECOMES_MESH
 from .cycles_settings import name_bounces, name_object_settings
@@ -238,9 +240,9 @@ class InstanceWalk:
             self._faceless[name] = ("has no faces and is left out", "")
             return None
         if not mesh.is_editmode:
-            return read_mesh(mesh, name, self._notices, self._numbers)
+            return _without_own_layer(obj, mesh, read_mesh(mesh, name, self._notices, self._numbers))
         try:
-            return read_mesh(obj.to_mesh(), name, self._notices, self._numbers)
+            return _without_own_layer(obj, mesh, read_mesh(obj.to_mesh(), name, self._notices, self._numbers))
         finally:
             obj.to_mesh_clear()
 
@@ -365,6 +367,14 @@ def _objects(group: Group, kept: np.ndarray, first_triangle: int, first_vertex: 
         )
         for j, i in enumerate(kept.tolist())
     ]
+
+
+def _without_own_layer(obj: bpy.types.Object, mesh: bpy.types.Mesh, arrays: MeshArrays | None) -> MeshArrays | None:
+    """`arrays` of `mesh`. Images do not lie on the layer that a bake has made: where there is no other they have none, as before."""
+    if arrays is None or not arrays.render_uv:
+        return arrays
+    ours = {stored.read(mesh, stored.UV), own_layer(obj.original) if obj.original.type == "MESH" else ""}
+    return replace(arrays, render_uv="") if arrays.render_uv in ours else arrays
 
 
 def _world_normals(normals: np.ndarray, matrices: np.ndarray) -> np.ndarray:

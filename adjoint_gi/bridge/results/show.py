@@ -113,12 +113,19 @@ def selected(view_layer: bpy.types.ViewLayer, instances: bool = False) -> tuple[
     Of metaballs the one that has the surface is named. With `instances` also objects without a mesh that can have instances.
     """
 
-    def is_selected(obj: bpy.types.Object) -> bool:
+    def seen_for(obj: bpy.types.Object) -> bpy.types.Object | None:
         state = stored.read(obj, HIDDEN)
-        seen = state.get("seen") if state is not None and view_layer in _layers(obj) else None
-        if seen is not None and real.is_real(seen):
-            return any(o.select_get(view_layer=view_layer) for o in _instances_of(obj, view_layer))
+        return state.get("seen") if state is not None and view_layer in _layers(obj) else None
+
+    def stands_selected(obj: bpy.types.Object) -> bool:
+        seen = seen_for(obj)
         return (seen if seen is not None and obj.hide_get(view_layer=view_layer) else obj).select_get(view_layer=view_layer)
+
+    def is_selected(obj: bpy.types.Object) -> bool:
+        seen = seen_for(obj)
+        if seen is not None and real.is_real(seen):
+            return any(stands_selected(o) for o in _instances_of(obj, view_layer))
+        return stands_selected(obj)
 
     able = [o for o in view_layer.objects if o.type == "MESH" or real.may_become_mesh(o) or (instances and real.may_make(o))]
     chosen = [o for o in able if not targets.is_result(o) and is_selected(o)]
@@ -179,7 +186,7 @@ def _hide(obj: bpy.types.Object, seen: bpy.types.Object, scene: bpy.types.Scene,
         return
     if obj.mode != "OBJECT" or not obj.is_editable:
         return
-    made, chosen = obj if targets.is_result(obj) else seen, obj.select_get(view_layer=layer)
+    made, chosen = obj if _is_made(obj) else seen, obj.select_get(view_layer=layer)
     obj[HIDDEN] = {"layer": layer.name, "made_selected": made.select_get(view_layer=layer)}
     obj[HIDDEN]["scene"], obj[HIDDEN]["seen"] = scene, seen
     obj.hide_set(True, view_layer=layer)
@@ -192,9 +199,12 @@ def _reveal(obj: bpy.types.Object) -> None:
     state = stored.read(obj, HIDDEN)
     if state is None:
         return
-    seen = state.get("seen")
-    made = obj if targets.is_result(obj) else seen
-    for layer in _layers(obj):
+    seen, was_selected, layers = state.get("seen"), bool(state["made_selected"]), _layers(obj)
+    del obj[HIDDEN]
+    if seen is not None:
+        _reveal(seen)  # it may have handed the selection on
+    made = obj if _is_made(obj) else seen
+    for layer in layers:
         objects = {o.session_uid for o in layer.objects}
         if obj.session_uid not in objects:
             continue
@@ -203,8 +213,7 @@ def _reveal(obj: bpy.types.Object) -> None:
         if hidden and seen is not None and seen.session_uid in objects:
             if made == seen:
                 obj.select_set(made.select_get(view_layer=layer), view_layer=layer)
-            made.select_set(bool(state["made_selected"]), view_layer=layer)
-    del obj[HIDDEN]
+            made.select_set(was_selected, view_layer=layer)
 
 
 def _layers(obj: bpy.types.Object) -> list[bpy.types.ViewLayer]:

@@ -23,6 +23,7 @@ from .smooth import Nodes
 MAX_ELEMENTS = 20_000_000  # about 4 GB of element arrays
 LOOKS = 16, 256  # points of an element that show how much of it lies inside bodies: of each, and of those in part inside
 COLOR_GRID = 4  # textured colours are averaged over COLOR_GRID^2 points of an element
+LEAST_HELD = 1e-9  # share of an element that is held at least: one that lets all light through is lit like any other
 SLIVER = 8.0  # a triangle gets at most SLIVER * area / max_edge^2 elements, so that long slivers do not explode
 
 
@@ -204,8 +205,8 @@ class Elements:
         area, albedo, emitted = np.repeat(self.area, 2), np.repeat(self.albedo, 2, axis=0), np.repeat(self.emitted, 2, axis=0)
         if self.stays is None:
             return Held(area, albedo, emitted, np.ones(len(area)))
-        stays = np.repeat(self.stays, 2)
-        share = 1 / np.maximum(stays, 1e-9)
+        stays = np.maximum(np.repeat(self.stays, 2), LEAST_HELD)
+        share = 1 / stays
         return Held(area * stays, albedo * share[:, None], emitted * share[:, None], share)
 
     def mean(self, field: Callable, varies: bool) -> np.ndarray:
