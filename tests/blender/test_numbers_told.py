@@ -106,7 +106,7 @@ def test_the_noise_of_a_cycles_bake_is_half_of_what_its_halves_differ_by(monkeyp
     monkeypatch.setattr(cycles_reference, "coat_notices", lambda _: ())
     monkeypatch.setattr(cycles_reference, "in_place", lambda *_: nullcontext())
     monkeypatch.setattr(cycles_reference, "_bake", lambda *_: np.full((2, 2, 3), next(halves)))
-    found = cycles_reference.bake_reference(SimpleNamespace(scene=None, view_layer=None), None, [sheet], 4, 16, 5)
+    found = cycles_reference.bake_reference(SimpleNamespace(scene=None, view_layer=None), World(SceneBuilder().build()), [sheet], 4, 16, 5)
     assert found.noise == pytest.approx(0.2) and found.values == pytest.approx(np.ones((4, 3))) and found.valid.sum() == 3
 
 
