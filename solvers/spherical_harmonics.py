@@ -123,6 +123,9 @@ class SphericalHarmonics(Solver):
         yield from run.stage(run.lamps.run(run.into(moments)), 0.0, 0.0, "Light of lamps and background, {}")
         state.illuminate(moments)
         run.check_lit(moments)
+        if run.scattering.passes.any():
+            reason = f"light that refracts is blurred by harmonics of order {s.order}: a lamp seen through a pane gave up to 9 % too little"
+            run.warn(reason, "Raise order, or take Directional Radiosity or Particle Tracing where light comes through glass")
 
         # 3. Groups of sides, most unshot flux first: L(j, wo) += sum_ab h_a(wo) M_ab dq(j, b) (Eq. 13 by direction).
         shooting = Southwell(state, grouping(state, s.rays), s.tolerance, s.max_shots, PATIENCE * len(state.area))

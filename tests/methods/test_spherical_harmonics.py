@@ -270,3 +270,13 @@ def test_a_pane_lets_no_more_light_of_a_lamp_through_than_there_is():
     u, v = grid(4)
     found = solve(World(b.build()), quad_points(u, v, first=8), max_edge=1.0, rays=300_000, order=4).quantity("irradiance").mean()
     assert found == pytest.approx(0.316, rel=0.08)
+
+
+@pytest.mark.parametrize(("kind", "count"), [("glass", 1), ("glossy", 0)])
+def test_light_through_glass_is_said_to_be_blurred(kind, count):
+    b = SceneBuilder()
+    b.quad("Pane", (0, 0, 0), (1, 0, 0), (0, 1, 0), Material("Pane", (Lobe(kind, Color.of(1.0), 0.5),)))
+    b.light(Light("Lamp", "point", (1.0, 1.0, 1.0), position=(0.5, 0.5, 1.0)))
+    world = World(b.build())
+    found = solving.solve("spherical_harmonics", world, solving.scattered(world, 2), rays=1000, max_edge=1.0, tolerance=0.1)
+    assert sum("refracts" in w.reason for w in found.warnings) == count
