@@ -1111,6 +1111,20 @@ BUGS = (
         "albedo[rows] += self.world.albedo(surface)",
         "tests/methods/test_straight_through.py -k albedo",
     ),
+    Bug(
+        "the ends of lifted shadow rays move with their starts",
+        "adjoint_gi/core/scene/terminator.py",
+        "way = wi.take(some, axis=1) * distance.take(some) - shift.take(near, axis=1)",
+        "way = wi.take(some, axis=1) * distance.take(some)",
+        "tests/core/test_terminator.py -k end_where",
+    ),
+    Bug(
+        "halves of two materials are one patch",
+        "adjoint_gi/core/elements/elements.py",
+        " & (np.asarray(scene.material)[a] == np.asarray(scene.material)[b])",
+        "",
+        "tests/core/test_elements.py -k two_materials",
+    ),
 )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import MemoryRefused
@@ -138,6 +140,12 @@ def test_what_is_no_parallelogram_stays_two_triangles():
         scene = mesh(vertices, triangles, polygon)
         assert (parallelograms(scene) == -1).all()
         assert Elements(World(scene), 10.0).count == 2
+
+
+def test_halves_of_two_materials_stay_two_triangles():
+    scene = mesh(SQUARE, [(0, 1, 2), (0, 2, 3)], [0, 0])
+    assert parallelograms(scene)[0] == 1
+    assert (parallelograms(dataclasses.replace(scene, material=np.array([0, 1]))) == -1).all()
 
 
 def test_a_sliver_does_not_explode():

@@ -84,3 +84,16 @@ def test_flat_scenes_have_no_terminator():
     assert World(scenes.cube()).terminator is None
     world, _ = ball(0, 0.0)
     assert world.terminator is None
+
+
+def test_shadow_rays_that_are_lifted_end_where_they_ended():
+    world, receivers = ball()
+    surface = world.surface(receivers.triangle, receivers.u, receivers.v)
+    start, lamp = world.leave(surface).T.copy(), np.float32([[3.0], [0.5], [2.0]])
+    way = lamp - start
+    distance = np.linalg.norm(way, axis=0)
+    wi = way / distance
+    before = start.copy()
+    world.edge(surface).lift(start, wi, distance)
+    assert np.abs(start - before).max() > 0.01
+    np.testing.assert_allclose(start + wi * distance, np.broadcast_to(lamp, start.shape), atol=1e-5)
