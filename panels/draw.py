@@ -18,9 +18,9 @@ NARROW = 400  # pixels; a sidebar is less wide
 SEEN = 1.0  # seconds from which on a check that is under way is shown
 CRAMPED = 260  # pixels; names stand above their values
 OUTPUT = {  # what each target uses
-    "texture": ("target", "quantity", "selection_only", "instances", "resolution", "atlas", "uv_layer", "folder"),
-    "attribute": ("target", "quantity", "selection_only", "instances", "attribute", "domain", "new_object"),
-    "render": ("target", "folder"),
+    "texture": ("target", "quantity", "selection_only", "instances", "resolution", "atlas", "uv_layer", "denoise", "folder"),
+    "attribute": ("target", "quantity", "selection_only", "instances", "attribute", "domain", "new_object", "denoise"),
+    "render": ("target", "denoise", "folder"),
 }
 ICONS = {"info": "INFO", "warning": "ERROR", "error": "CANCEL"}
 

@@ -34,7 +34,7 @@ RULES = {
 }
 # The folders of each side in the one-way order: a file may import from its own folder and from those before it.
 ORDER = {
-    "adjoint_gi/core": "base images sampling scene gallery bsdf lights receivers method walks elements flux "
+    "adjoint_gi/core": "base images sampling scene gallery bsdf lights receivers method denoise walks elements flux "
     "radiosity two_pass directional comparison",
     "adjoint_gi/bridge": "host results extract props engine baking comparison cli",
 }

@@ -30,7 +30,15 @@ def test_everything_is_registered(registered):
     assert {"ADJOINTGI_PT_main", "ADJOINTGI_PT_render_method", "ADJOINT_GI_OT_bake"} <= there["types"]
     assert there["engines"] == {"ADJOINT_GI"}
     assert {"bake", "stop", "resume", "write", "check", "show_result", "restore", "clear_results", "add_demo_scene"} <= there["operators"]
-    assert there["handlers"] == {"load_pre", "load_post", "load_post_fail", "undo_post", "redo_post", "depsgraph_update_post"}
+    assert there["handlers"] == {
+        "load_pre",
+        "load_post",
+        "load_post_fail",
+        "undo_post",
+        "redo_post",
+        "depsgraph_update_post",
+        "render_init",
+    }
     assert there["scene property"]
     assert {"RENDER_PT_output", "EEVEE_MATERIAL_PT_surface", "DATA_PT_EEVEE_light"} <= there["panels"]
     bpy.context.scene.render.engine = "ADJOINT_GI"

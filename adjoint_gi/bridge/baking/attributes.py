@@ -11,6 +11,7 @@ import numpy as np
 
 from ...core.base.errors import Notice, TargetError
 from ...core.base.text import json_text
+from ...core.denoise.ground import Ground, vertex_ground
 from ...core.elements.elements import Elements
 from ...core.elements.mesh import ElementNodes, mesh_solution
 from ...core.flux.facing import baked_sides
@@ -47,6 +48,10 @@ class AttributeWriter(Writer):
         facing = baked_sides(world, indices).facing
         self.vertices = vertex_receivers(world, indices, request.domain, facing=facing)
         return self.vertices.receivers
+
+    def ground(self, solution: Solution) -> Ground | None:
+        """The vertices or corners along the edges of their meshes."""
+        return vertex_ground(self.world, self.vertices) if self.vertices is not None else None
 
     def write(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:
         """Every object: see the class."""

@@ -32,6 +32,7 @@ from ..host.preparation import Aside, Stages, finish_stages, once
 from ..props.request import BakeRequest, raise_first
 from . import outputs
 from .attributes import AttributeWriter
+from .denoising import denoise
 from .instances import Real, make
 from .picture import PictureWriter
 from .preflight import checker, inspecting, left_out, ordered, picture_size, preflight, receiving, resolve, target_objects
@@ -109,6 +110,8 @@ class Bake:
         self.writer.is_last = not live
         try:
             folder = files.output_folder(self.request.output) if wanted else None
+            if not live:
+                solution, self.writer.notices = denoise(self.request, self.writer, solution)
             datablocks, paths = self.writer.write(solution, folder)
         except AdjointError:
             if wanted:

@@ -14,6 +14,7 @@ import numpy as np
 from ...core.base.errors import AdjointError, Notice
 from ...core.base.steps import Steps, within
 from ...core.base.text import json_text
+from ...core.denoise.ground import Ground, texel_ground
 from ...core.flux.density import Given, given, seen
 from ...core.flux.facing import baked_sides
 from ...core.images.exr import write_exr
@@ -136,6 +137,10 @@ class TextureWriter(Writer):
         self.notices += lightmap.warnings
         name = outputs.title(request, self.scene_name, objects[0].source)
         return Sheet(name, tuple(o.uid for o in objects), lightmap, slice(0), tuple(layers))
+
+    def ground(self, solution: Solution) -> Ground:
+        """The texels of all sheets."""
+        return texel_ground(self.world, self.receivers, [sheet.lightmap for sheet in self.sheets])
 
     def write(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:
         """Every sheet: see the class."""

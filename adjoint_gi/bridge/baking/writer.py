@@ -13,6 +13,7 @@ import bpy
 
 from ...core.base.errors import Notice, TargetError
 from ...core.base.text import json_text
+from ...core.denoise.ground import Ground
 from ...core.flux.density import Given
 from ...core.method.solution import Solution
 from ...core.receivers.base import Receivers
@@ -62,6 +63,10 @@ class Writer(abc.ABC):
     @abc.abstractmethod
     def placing(self) -> Stages[None]:
         """Make `receivers`, in an order that `write` knows. Raises `AdjointError` when there is nothing to write to."""
+
+    def ground(self, solution: Solution) -> Ground | None:
+        """What a denoiser has to know of the receivers; None where `solution` is not to be denoised."""
+        return None
 
     @abc.abstractmethod
     def write(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:

@@ -17,7 +17,7 @@ from ...core.method.solution import QUANTITIES
 from ..comparison import arguments as compare_arguments
 from ..comparison.arguments import whole
 from ..host import files
-from ..props.request import DOMAINS, RECEIVERS, BakeRequest
+from ..props.request import DEFAULT_METHOD, DOMAINS, RECEIVERS, BakeRequest, denoises_by_default
 
 DEFAULTS = {f.name: f.default for f in dataclasses.fields(BakeRequest) if f.default is not dataclasses.MISSING}
 MOST_THREADS = 256
@@ -69,7 +69,7 @@ def add_request(parser: argparse.ArgumentParser, in_blender: bool) -> None:
     """Arguments that describe a bake."""
     default = "default: %(default)s"
     compare_arguments.add_scene(parser, in_blender)
-    parser.add_argument("--method", default="path_tracing", help=f"see the command `methods` ({default})")
+    parser.add_argument("--method", default=DEFAULT_METHOD, help=f"see the command `methods` ({default})")
     parser.add_argument("--target", default="texture", choices=tuple(RECEIVERS), help=default)
     parser.add_argument("--quantity", default=DEFAULTS["quantity"], choices=QUANTITIES, help=default)
     parser.add_argument("--objects", nargs="+", action="extend", default=[], metavar="NAME", help="mesh objects (default: all rendered)")
@@ -87,6 +87,8 @@ def add_request(parser: argparse.ArgumentParser, in_blender: bool) -> None:
     parser.add_argument("--new-object", action="store_true", help=what)
     what = "bake instances too, each as an object of its own; objects named then mean what they make as well"
     parser.add_argument("--instances", action="store_true", help=what)
+    what = "take noise out of what is written, of methods that have any (default: lightmaps and attributes by path tracing)"
+    parser.add_argument("--denoise", action=argparse.BooleanOptionalAction, default=None, help=what)
     parser.add_argument("--size", metavar="WxH", help="size of the picture (default: that of the render settings)")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the method; may be repeated")
     parser.add_argument("--seed", type=whole, help="start of the random numbers")
@@ -144,6 +146,7 @@ def request_of(options: argparse.Namespace) -> BakeRequest:
         output=str(files.absolute(options.output)) if options.output and not options.output.startswith("//") else options.output,
         width=width,
         height=height,
+        denoise=denoises_by_default(options.method, options.target) if options.denoise is None else options.denoise,
     )
 
 

@@ -19,7 +19,7 @@ from ..host.versions import FOLDER
 from ..results import show as results
 from . import fields
 from .records import ADJOINTGI_PG_notice, ADJOINTGI_PG_result
-from .request import MAX_DENSITY, BakeRequest, fitting_quantity
+from .request import MAX_DENSITY, BakeRequest, denoises_by_default, fitting_quantity
 
 __all__ = ["MethodSpec", "chosen", "folder_of", "group_name", "method_label", "own_and_common", "quadrant", "request_of", "settings_of"]
 
@@ -47,6 +47,12 @@ QUANTITIES = (
 DOMAINS = (
     ("POINT", "Vertices", "One value for each vertex: smooth everywhere", 0),
     ("CORNER", "Face Corners", "One value for each corner of each face: hard edges stay hard", 1),
+)
+
+DENOISE = (
+    ("AUTO", "By Default", "Lightmaps and attributes by path tracing are denoised; other methods and pictures are not", 0),
+    ("ON", "On", "Results of all methods that have noise are denoised", 1),
+    ("OFF", "Off", "Results are written as they were computed", 2),
 )
 
 # The panel starts with the defaults of the command line.
@@ -130,6 +136,12 @@ class Root:
         "in a collection that is hidden until Show Result and goes with Clear Results",
         default=DEFAULT["instances"],
     )
+    denoise: bpy.props.EnumProperty(
+        name="Denoise",
+        description="Take noise out of the result before it is written; methods without noise never need it",
+        items=DENOISE,
+        default="AUTO",
+    )
     folder: bpy.props.StringProperty(
         name="Folder",
         description="Where EXR files are saved. Empty: the image is kept in the .blend file only",
@@ -196,6 +208,7 @@ def request_of(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer | None = 
         new_object=state.new_object,
         instances=state.instances,
         output=folder_of(scene, state.target),
+        denoise=denoises_by_default(solver.spec.id, state.target) if state.denoise == "AUTO" else state.denoise == "ON",
     )
 
 

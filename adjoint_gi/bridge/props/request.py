@@ -19,6 +19,7 @@ LIGHT = ("irradiance", "radiosity")  # quantities that only methods have which a
 RECEIVERS = {"texture": "texels", "attribute": "vertices", "render": "camera"}
 DOMAINS = ("POINT", "CORNER")
 MAX_DENSITY = 1e6  # texels a metre
+DEFAULT_METHOD = "path_tracing"
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,8 @@ class BakeRequest:
     instances    bake instances too, each as an object of ours; objects named then mean what they make as well
     output       folder for files; empty means none
     width, height   of the camera picture; 0 means those of the render settings
+    denoise      take noise out before writing, of methods that have any; the panel and the command line have a default of their own,
+                 `denoises_by_default`
     left_out     names of objects that are not baked although none are named: they cannot receive (filled in by pre-flight)
     separate     names of objects whose attribute goes to an object of its own, because their mesh cannot hold it (the same)
     """
@@ -62,6 +65,7 @@ class BakeRequest:
     output: str = ""
     width: int = 0
     height: int = 0
+    denoise: bool = False
     left_out: tuple[str, ...] = ()
     separate: tuple[str, ...] = ()
 
@@ -105,6 +109,12 @@ class BakeRequest:
         if self.target == "attribute" and not self.attribute.strip():
             out.append(_error("attribute", "has no name", "Give a name, such as AdjointGI"))
         return out
+
+
+def denoises_by_default(method: str, target: str) -> bool:
+    """Whether a bake is denoised where nothing is said of it: lightmaps and attributes by the default method, which are there to please;
+    what is chosen to be compared, and pictures, are as they were computed."""
+    return method == DEFAULT_METHOD and target != "render"
 
 
 def fitting_quantity(solver: Solver, quantity: str) -> str:

@@ -28,7 +28,7 @@ class Film:
         self.albedo = np.zeros((own, 3))
         self.count = np.zeros(n, np.int64)
         self._groups = np.zeros(n, np.int32)
-        self._squares = np.zeros(n)
+        self._squares = np.zeros((3, n))  # of direct light, of indirect light, and of both together
 
     def add(self, receivers: slice, samples: int, direct: np.ndarray, indirect: np.ndarray, spread: np.ndarray | None = None) -> None:
         """Sums over one group of `samples` samples of each of the receivers, (m, 3) each.
@@ -39,11 +39,13 @@ class Film:
         self.indirect[receivers] += indirect
         self.count[receivers] += samples
         self._groups[receivers] += 1
-        total = (direct + indirect).sum(axis=1, dtype=np.float64)
-        self._squares[receivers] += total * total / samples
+        parts = [part.sum(axis=1, dtype=np.float64) for part in (direct, indirect)]
+        for squares, total in zip(self._squares, (*parts, parts[0] + parts[1]), strict=True):
+            squares[receivers] += total * total / samples
         if spread is not None:
+            # How much of it is of which part is not known, so each counts with all of it.
             self._groups[receivers] += 1
-            self._squares[receivers] += spread.sum(axis=1, dtype=np.float64) ** 2 / samples
+            self._squares[:, receivers] += spread.sum(axis=1, dtype=np.float64) ** 2 / samples
 
     def mean(self, sums: np.ndarray) -> np.ndarray:
         """(n, 3) float32 means; 0 where there is no sample."""
@@ -58,11 +60,27 @@ class Film:
         if not known.any():
             return None
         total = (self.direct[known] + self.indirect[known]).sum(axis=1)
+        mean = (total / self.count[known]).mean()
+        return float(np.sqrt(self._variance(total, self._squares[2], known).mean()) / mean) if mean > 0 else None
+
+    def errors(self) -> dict[str, np.ndarray]:
+        """(n,) float32 standard errors of the channels' sum, "direct_error" and "indirect_error"; inf where there is one group of samples.
+
+        Nothing where no receiver has two. As `relative_error` they are rather too large.
+        """
+        known = self._groups > 1
+        out = {}
+        for name, sums, squares in zip(("direct", "indirect"), (self.direct, self.indirect), self._squares, strict=False):
+            error = np.full(len(known), np.inf, np.float32)
+            error[known] = np.sqrt(self._variance(sums[known].sum(axis=1), squares, known))
+            out[f"{name}_error"] = error
+        return out if known.any() else {}
+
+    def _variance(self, total: np.ndarray, squares: np.ndarray, known: np.ndarray) -> np.ndarray:
+        """Variance of the means of the `known` receivers, with sums `total` and `squares` of groups."""
         count = self.count[known]
         # sum n m^2 - N M^2 over the groups estimates (groups - 1) sigma^2, where a group mean of n samples has variance sigma^2 / n.
-        sigma2 = np.maximum(self._squares[known] - total * total / count, 0) / (self._groups[known] - 1)
-        mean = (total / count).mean()
-        return float(np.sqrt((sigma2 / count).mean()) / mean) if mean > 0 else None
+        return np.maximum(squares[known] - total * total / count, 0) / (self._groups[known] - 1) / count
 
 
 def read_surfaces(world: World, receivers: Receivers, out: dict[str, np.ndarray]) -> Iterator[float]:

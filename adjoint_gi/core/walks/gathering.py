@@ -259,7 +259,7 @@ class Run:
         """A copy of the result as it stands; the clock adds the seconds and the history."""
         film, surfaces, flux = self.film, self.surfaces, self.emitters.flux
         weight = (film.count > 0).astype(np.float32)
-        extra = dict(self.extra)
+        extra = self.extra | film.errors()
         if self.is_camera:
             emitted, albedo = film.mean(film.emitted), film.mean(film.albedo)
             extra |= {k: surfaces[k] for k in ("normal", "depth") if k in surfaces}

@@ -1,0 +1,1 @@
+"""The step between solving and writing that takes noise out."""

@@ -1,0 +1,95 @@
+"""Denoising as a step between solving and writing: what is noisy of a solution is smoothed, what is not stays as it is.
+
+Direct and indirect light are smoothed apart, so their sum stays the whole, and shadows without noise stay crisp. A denoiser is any
+function of a `Layer`; the mean of every piece of the surface is kept, whatever it does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..method.registry import MethodSpec, Nature
+from ..method.solution import Solution
+from .ground import Ground
+from .wavelets import smoothed, spread_out
+
+PARTS = ("direct", "indirect")
+CLEAN, NOISY = 0.02, 0.10  # relative standard errors between which a receiver's own value gives way to the smoothed one
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """Light to be smoothed: values (n, 3) float32, error (n,) their standard errors (`Film.errors`), valid (n,) bool."""
+
+    name: str
+    values: np.ndarray
+    error: np.ndarray
+    valid: np.ndarray
+
+
+# Gives the smoothed values (n, 3) of every layer.
+Denoiser = Callable[[Sequence[Layer]], list[np.ndarray]]
+
+
+def can_denoise(spec: MethodSpec) -> bool:
+    """Whether results of the method have noise."""
+    return Nature.NONDETERMINISTIC in spec.natures
+
+
+def own_denoiser(ground: Ground) -> Denoiser:
+    """The filter of `wavelets`."""
+    return lambda layers: [smoothed(layer.values, layer.error, ground, layer.valid) for layer in layers]
+
+
+def denoised(solution: Solution, ground: Ground, denoiser: Denoiser) -> Solution:
+    """`solution` with its noisy parts smoothed; the same object where there is nothing to do."""
+    valid = solution.weight > 0
+    unknown = np.full(len(valid), np.inf, np.float32)
+    layers = [Layer(name, getattr(solution, name), solution.extra.get(f"{name}_error", unknown), valid) for name in PARTS]
+    shares = [noisy_share(layer, ground) for layer in layers]
+    noisy = [k for k, share in enumerate(shares) if share.any()]
+    if not noisy:
+        return solution
+    found = denoiser([layers[k] for k in noisy])
+    parts = {layers[k].name: merged(layers[k], x, shares[k], ground) for k, x in zip(noisy, found, strict=True)}
+    return replace(solution, **parts)
+
+
+def noisy_share(layer: Layer, ground: Ground) -> np.ndarray:
+    """(n,) float64 in 0..1: how much of the smoothed value each receiver gets, by the noise around it; 0 where there is no value.
+
+    Of indirect light, which has no sharp edges, all get as much as their piece has noise: it comes from few bright samples, and where
+    none has come by chance nothing tells of it.
+    """
+    error = np.where(np.isfinite(layer.error), layer.error, np.inf)
+    known = np.isfinite(error) & layer.valid
+    value = spread_out(layer.values.sum(axis=1, dtype=np.float64), ground, layer.valid)
+    around = np.sqrt(spread_out(np.where(known, error, 0) ** 2, ground, known))
+    if layer.name == "indirect":
+        many = int(ground.piece.max(initial=0)) + 1
+
+        def mean(values: np.ndarray, of: np.ndarray) -> np.ndarray:
+            sums, counts = np.bincount(ground.piece, values * of, many), np.bincount(ground.piece, of, many)
+            return (sums / np.maximum(counts, 1))[ground.piece]
+
+        value, around = mean(value, layer.valid), np.sqrt(mean(around**2, known))
+    relative = np.where(known, around, np.inf) / np.maximum(value, 1e-30)
+    share = np.clip((relative - CLEAN) / (NOISY - CLEAN), 0, 1)
+    return np.where(layer.valid & (value > 0), share, 0)
+
+
+def merged(layer: Layer, smooth: np.ndarray, share: np.ndarray, ground: Ground) -> np.ndarray:
+    """(n, 3) float32: the values with their `share` (n,) of `smooth`, scaled so that every piece keeps its mean in each channel."""
+    out = np.array(layer.values, np.float64)
+    many = int(ground.piece.max(initial=0)) + 1
+    for c in range(3):
+        was, now = share * layer.values[:, c], share * np.maximum(smooth[:, c], 0)
+        before, after = (np.bincount(ground.piece, x, many) for x in (was, now))
+        # Where nothing is left to scale, as of a single bright texel, the values stay.
+        keeps = after <= 1e-3 * before
+        gain = np.where(keeps, 0, before / np.maximum(after, 1e-300))[ground.piece]
+        out[:, c] += np.where(keeps[ground.piece], 0, now * gain - was)
+    return out.astype(np.float32)

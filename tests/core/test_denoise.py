@@ -1,0 +1,191 @@
+"""The denoising step: noise goes, means and crisp shadows stay, and no light crosses a border."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core.denoise.ground import GridNeighbours, Ground, pixel_ground, texel_ground, vertex_ground
+from adjgi.adjoint_gi.core.denoise.images import BORDER, image_denoiser
+from adjgi.adjoint_gi.core.denoise.step import Layer, can_denoise, denoised, noisy_share, own_denoiser
+from adjgi.adjoint_gi.core.denoise.wavelets import smoothed
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.method.solution import Solution
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
+from adjgi.adjoint_gi.core.receivers.texels import rasterize
+from adjgi.adjoint_gi.core.receivers.vertices import vertex_receivers
+from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.tests.scenes import cornell
+from adjgi.tests.solving import solve
+
+SIDE = 32
+
+
+@pytest.fixture(scope="module")
+def floor():
+    """World, lightmap and ground of the Cornell box's floor, and its light by few and by many samples."""
+    world = World(cornell())
+    lightmap = rasterize(world, [0], "", SIDE, 4)
+    few, many = (solve("path_tracing", world, lightmap.receivers, samples=n, seed=n) for n in (32, 1024))
+    return texel_ground(world, lightmap.receivers, [lightmap]), few, many
+
+
+def error(found: np.ndarray, right: np.ndarray) -> float:
+    return float(np.sqrt(((found - right) ** 2).mean()) / right.mean())
+
+
+def result(direct: np.ndarray, indirect: np.ndarray, **errors: np.ndarray) -> Solution:
+    """A solution for receivers that all have samples."""
+    zero = np.zeros_like(direct)
+    return Solution("path_tracing", "irradiance", zero, direct, indirect, zero + 1, np.ones(len(direct), np.float32), extra=errors)
+
+
+def grid(piece: np.ndarray) -> Ground:
+    """A flat ground of pixels, `piece` (h, w)."""
+    h, w = piece.shape
+    y, x = np.mgrid[:h, :w]
+    position = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(np.float32)
+    normal = np.broadcast_to(np.float32([0, 0, 1]), position.shape)
+    flat = piece.reshape(-1)
+    ones = np.ones(len(flat), np.float32)
+    return Ground(flat, position, normal, ones, np.ones((len(flat), 3), np.float32), GridNeighbours([np.arange(h * w).reshape(h, w)], flat))
+
+
+def test_error_falls_and_the_mean_stays(floor):
+    ground, few, many = floor
+    clean = denoised(few, ground, own_denoiser(ground))
+    for name, factor in (("indirect", 0.35), ("direct", 1.1)):  # shadows on so few texels have no room for a filter
+        before, after, right = (getattr(s, name) for s in (few, clean, many))
+        assert error(after, right) < factor * error(before, right), name
+        assert after.mean(axis=0, dtype=float) == pytest.approx(before.mean(axis=0, dtype=float), rel=1e-5), name
+    whole = clean.quantity("irradiance")
+    assert (
+        np.array_equal(whole, clean.direct + clean.indirect) and (clean.albedo == few.albedo).all() and (clean.emitted == few.emitted).all()
+    )
+
+
+def test_no_light_crosses_the_border_of_a_chart():
+    piece = np.zeros((32, 64), np.int64)
+    piece[:, 32:] = 1
+    rng, ground = np.random.default_rng(1), grid(piece)
+    level = 1.0 - piece.reshape(-1, 1)
+    values = (level + rng.normal(0, 0.3, (piece.size, 3)) * (level + 0.01)).astype(np.float32)
+    noise = np.full(piece.size, 0.6, np.float32)
+    clean = denoised(result(0 * values, values, indirect_error=noise, direct_error=0 * noise), ground, own_denoiser(ground))
+    for k, mean in enumerate((1.0, 0.0)):
+        own = clean.indirect[piece.reshape(-1) == k]
+        assert own.mean() == pytest.approx(values[piece.reshape(-1) == k].mean(), abs=1e-5), k
+        assert own.mean() == pytest.approx(mean, abs=0.02) and own.std() < 0.1, k
+
+
+def test_even_an_image_denoiser_that_blurs_all_keeps_the_charts_apart():
+    piece = np.zeros((16, 64), np.int64)
+    piece[:, 32:] = 1
+    values = np.repeat(1.0 - 0.999 * piece.reshape(-1, 1), 3, axis=1).astype(np.float32)
+    ground = grid(piece)
+    seen = []
+
+    def blur(image, albedo, normal):
+        seen.append((image, albedo, normal))
+        return np.full_like(image, image.mean())
+
+    noise = np.full(piece.size, 0.5, np.float32)
+    clean = denoised(result(0 * values, values, indirect_error=noise, direct_error=0 * noise), ground, image_denoiser(ground, blur))
+    assert np.allclose(clean.indirect, values, rtol=1e-5)
+    ((image, albedo, normal),) = seen  # one layer, the noisy one
+    assert (
+        image.shape == (16 + 2 * BORDER, 64 + 2 * BORDER, 3) and (image > 0).all() and image.mean() == pytest.approx(1, rel=0.1)
+    )  # no black comes near
+    assert (albedo == 1).all() and (normal[..., 2] == 1).all()
+
+
+def test_what_has_no_noise_stays_to_the_last_bit():
+    """The edge of a point lamp's shadow beside noisy indirect light."""
+    piece = np.zeros((24, 24), np.int64)
+    ground, rng = grid(piece), np.random.default_rng(2)
+    direct = np.repeat((np.arange(24) < 12).astype(np.float32)[None, :, None], 24, axis=0)
+    direct = np.broadcast_to(direct, (24, 24, 3)).reshape(-1, 3)
+    indirect = rng.exponential(0.1, direct.shape).astype(np.float32)
+    found = result(direct, indirect, direct_error=np.zeros(576, np.float32), indirect_error=np.full(576, 0.17, np.float32))
+    clean = denoised(found, ground, own_denoiser(ground))
+    assert np.array_equal(clean.direct, direct) and clean.indirect.std() < 0.25 * indirect.std()
+    quiet = dataclasses.replace(found, extra={k: np.zeros(576, np.float32) for k in found.extra})
+    assert denoised(quiet, ground, own_denoiser(ground)) is quiet
+
+
+def test_filter_keeps_edges_that_stand_out_of_the_noise():
+    ground, rng = grid(np.zeros((32, 32), np.int64)), np.random.default_rng(3)
+    right = np.repeat(np.where(np.arange(32) < 16, 1.0, 4.0)[None], 32, axis=0).reshape(-1, 1)
+    values = (right + rng.normal(0, 0.1, (1024, 3))).astype(np.float32)
+    clean = smoothed(values, np.full(1024, 0.17, np.float32), ground, np.ones(1024, bool))
+    assert np.abs(clean - right).mean() < 0.3 * np.abs(values - right).mean()
+    # Where nobody knows the noise it is taken from the surroundings, and the edge stays all the same.
+    clean = smoothed(values, np.full(1024, np.inf, np.float32), ground, np.ones(1024, bool))
+    assert np.abs(clean - right).mean() < 0.6 * np.abs(values - right).mean()
+
+
+def test_receivers_without_a_sample_stay_black_and_darken_nobody():
+    ground = grid(np.zeros((8, 8), np.int64))
+    values = np.ones((64, 3), np.float32)
+    values[::2] = 0
+    found = dataclasses.replace(result(0 * values, values), weight=values[:, 0].copy())
+    for denoiser in (own_denoiser(ground), image_denoiser(ground, lambda image, *_: image)):
+        clean = denoised(found, ground, denoiser)
+        assert np.allclose(clean.indirect, values, atol=1e-6)
+
+
+def test_vertices_of_a_mesh_are_smoothed_along_its_edges_and_no_farther():
+    n = 24
+    x, y = np.meshgrid(np.arange(n + 1) / n, np.arange(n + 1) / n)
+    points = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3)
+    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    faces = np.concatenate([np.stack([a, a + 1, a + n + 2], 1), np.stack([a, a + n + 2, a + n + 1], 1)])
+    b = SceneBuilder()
+    for name, z in (("One", 0.0), ("Two", 1e-4)):
+        b.mesh(name, points + (0, 0, z), faces, diffuse(name, 0.5))
+    world = World(b.build())
+    rng = np.random.default_rng(4)
+    for domain in ("POINT", "CORNER"):
+        vertices = vertex_receivers(world, [0, 1], domain)
+        ground = vertex_ground(world, vertices)
+        level = 1.0 - 0.9 * ground.piece[:, None]
+        values = (level * rng.normal(1, 0.3, (len(level), 3))).astype(np.float32)
+        noise = (level[:, 0] * 0.5).astype(np.float32)
+        clean = denoised(result(0 * values, values, indirect_error=noise, direct_error=0 * noise), ground, own_denoiser(ground))
+        for k in (0, 1):
+            own, was = (x[ground.piece == k] / level[ground.piece == k] for x in (clean.indirect, values))
+            assert own.mean() == pytest.approx(was.mean(), rel=1e-5) and np.abs(own - 1).mean() < 0.3 * np.abs(was - 1).mean()
+
+
+def test_pixels_keep_textures_and_edges_of_objects():
+    world = World(cornell(32, 32))
+    receivers = CameraReceivers(world)
+    few, many = (solve("path_tracing", world, receivers, samples=n, seed=n) for n in (8, 256))
+    ground = pixel_ground(receivers, few.extra["normal"], few.extra["depth"], few.albedo)
+    clean = denoised(few, ground, own_denoiser(ground))
+    assert error(clean.indirect, many.indirect) < 0.4 * error(few.indirect, many.indirect)
+    assert clean.quantity("radiance").mean() == pytest.approx(few.quantity("radiance").mean(), rel=1e-4)
+
+
+def test_film_states_the_error_of_each_part(floor):
+    _, few, many = floor
+    for name in ("direct", "indirect"):
+        stated = np.sqrt((few.extra[f"{name}_error"] ** 2).mean())
+        true = np.sqrt(((getattr(few, name) - getattr(many, name)).sum(axis=1) ** 2).mean())
+        assert 0.6 * true < stated < 4 * true, name  # Sobol points make direct light better than groups of them tell
+
+
+def test_methods_without_noise_are_never_denoised():
+    assert can_denoise(method("path_tracing").spec) and can_denoise(method("multi_pass").spec)
+    assert not any(
+        can_denoise(method(name).spec) for name in ("matrix_radiosity", "progressive_radiosity", "whitted", "local_illumination")
+    )
+
+
+def test_share_follows_the_noise():
+    ground = grid(np.zeros((6, 6), np.int64))
+    ones, valid = np.ones((36, 3), np.float32), np.ones(36, bool)
+    shares = [noisy_share(Layer("direct", ones, np.full(36, e, np.float32), valid), ground) for e in (0.0, 0.03, 3.0, np.inf)]
+    assert (shares[0] == 0).all() and (shares[1] == 0).all() and (shares[2] == 1).all() and (shares[3] == 1).all()
