@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.denoise.ground import GridNeighbours, Ground, pixel_ground, texel_ground, vertex_ground
 from adjgi.adjoint_gi.core.denoise.images import BORDER, image_denoiser
-from adjgi.adjoint_gi.core.denoise.step import Layer, can_denoise, denoised, noisy_share, own_denoiser
+from adjgi.adjoint_gi.core.denoise.step import NoisyLight, can_denoise, denoised, noisy_share, own_denoiser
 from adjgi.adjoint_gi.core.denoise.wavelets import smoothed
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.registry import method
@@ -187,5 +187,5 @@ def test_methods_without_noise_are_never_denoised():
 def test_share_follows_the_noise():
     ground = grid(np.zeros((6, 6), np.int64))
     ones, valid = np.ones((36, 3), np.float32), np.ones(36, bool)
-    shares = [noisy_share(Layer("direct", ones, np.full(36, e, np.float32), valid), ground) for e in (0.0, 0.03, 3.0, np.inf)]
+    shares = [noisy_share(NoisyLight("direct", ones, np.full(36, e, np.float32), valid), ground) for e in (0.0, 0.03, 3.0, np.inf)]
     assert (shares[0] == 0).all() and (shares[1] == 0).all() and (shares[2] == 1).all() and (shares[3] == 1).all()

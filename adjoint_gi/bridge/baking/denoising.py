@@ -10,7 +10,7 @@ import numpy as np
 from ...core.base.errors import Notice
 from ...core.denoise.ground import GridNeighbours, Ground
 from ...core.denoise.images import image_denoiser
-from ...core.denoise.step import Denoiser, Layer, can_denoise, denoised, own_denoiser
+from ...core.denoise.step import Denoiser, NoisyLight, can_denoise, denoised, own_denoiser
 from ...core.method.solution import Solution
 from ..host import compositor
 from ..props.request import BakeRequest
@@ -35,7 +35,7 @@ def _with_blender(ground: Ground, told: list[Notice]) -> Denoiser:
         return own
     by_blender = image_denoiser(ground, compositor.denoise)
 
-    def denoise(layers: Sequence[Layer]) -> list[np.ndarray]:
+    def denoise(layers: Sequence[NoisyLight]) -> list[np.ndarray]:
         try:
             return by_blender(layers)
         except compositor.NoDenoiser as error:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..receivers.margin import margin_source
 from .ground import GridNeighbours, Ground
-from .step import Denoiser, Layer
+from .step import Denoiser, NoisyLight
 
 # (image, albedo, normal), each (h, w, 3) float32, to the image without noise.
 DenoiseImage = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -23,7 +23,7 @@ def image_denoiser(ground: Ground, denoise_image: DenoiseImage) -> Denoiser:
     assert isinstance(ground.neighbours, GridNeighbours)
     images = ground.neighbours.images
 
-    def denoise(layers: Sequence[Layer]) -> list[np.ndarray]:
+    def denoise(layers: Sequence[NoisyLight]) -> list[np.ndarray]:
         out = [np.array(layer.values) for layer in layers]
         tiles = [Tile.of(image, layers[0].valid, ground.piece) for image in images]
         for part in _batches([(k, tile) for tile in tiles if tile.own.any() for k in range(len(layers))]):
@@ -78,7 +78,7 @@ def _batches(jobs: list[Job]) -> list[list[Job]]:
     return out
 
 
-def _run(jobs: list[Job], ground: Ground, layers: Sequence[Layer], out: list[np.ndarray], denoise_image: DenoiseImage) -> None:
+def _run(jobs: list[Job], ground: Ground, layers: Sequence[NoisyLight], out: list[np.ndarray], denoise_image: DenoiseImage) -> None:
     """Denoise the layers of `jobs` in one image, and put what comes of it into `out`."""
     # Step 1: places, in rows.
     width = max(max(tile.own.shape[1] for _, tile in jobs), int(np.sqrt(sum(tile.own.size for _, tile in jobs))))

@@ -1,7 +1,7 @@
 """Denoising as a step between solving and writing: what is noisy of a solution is smoothed, what is not stays as it is.
 
 Direct and indirect light are smoothed apart, so their sum stays the whole, and shadows without noise stay crisp. A denoiser is any
-function of a `Layer`; the mean of every piece of the surface is kept, whatever it does.
+function of a `NoisyLight`; the mean of every piece of the surface is kept, whatever it does.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ from .wavelets import smoothed, spread_out
 PARTS = ("direct", "indirect")
 CLEAN, NOISY = 0.02, 0.10  # relative standard errors between which a receiver's own value gives way to the smoothed one
 
+AROUND = 3  # levels over which noise is averaged: some seven receivers to each side
+
 
 @dataclass(frozen=True, eq=False)
-class Layer:
+class NoisyLight:
     """Light to be smoothed: values (n, 3) float32, error (n,) their standard errors (`Film.errors`), valid (n,) bool."""
 
     name: str
@@ -31,7 +33,7 @@ class Layer:
 
 
 # Gives the smoothed values (n, 3) of every layer.
-Denoiser = Callable[[Sequence[Layer]], list[np.ndarray]]
+Denoiser = Callable[[Sequence[NoisyLight]], list[np.ndarray]]
 
 
 def can_denoise(spec: MethodSpec) -> bool:
@@ -48,7 +50,7 @@ def denoised(solution: Solution, ground: Ground, denoiser: Denoiser) -> Solution
     """`solution` with its noisy parts smoothed; the same object where there is nothing to do."""
     valid = solution.weight > 0
     unknown = np.full(len(valid), np.inf, np.float32)
-    layers = [Layer(name, getattr(solution, name), solution.extra.get(f"{name}_error", unknown), valid) for name in PARTS]
+    layers = [NoisyLight(name, getattr(solution, name), solution.extra.get(f"{name}_error", unknown), valid) for name in PARTS]
     shares = [noisy_share(layer, ground) for layer in layers]
     noisy = [k for k, share in enumerate(shares) if share.any()]
     if not noisy:
@@ -58,7 +60,7 @@ def denoised(solution: Solution, ground: Ground, denoiser: Denoiser) -> Solution
     return replace(solution, **parts)
 
 
-def noisy_share(layer: Layer, ground: Ground) -> np.ndarray:
+def noisy_share(layer: NoisyLight, ground: Ground) -> np.ndarray:
     """(n,) float64 in 0..1: how much of the smoothed value each receiver gets, by the noise around it; 0 where there is no value.
 
     Of indirect light, which has no sharp edges, all get as much as their piece has noise: it comes from few bright samples, and where
@@ -66,8 +68,9 @@ def noisy_share(layer: Layer, ground: Ground) -> np.ndarray:
     """
     error = np.where(np.isfinite(layer.error), layer.error, np.inf)
     known = np.isfinite(error) & layer.valid
-    value = spread_out(layer.values.sum(axis=1, dtype=np.float64), ground, layer.valid)
-    around = np.sqrt(spread_out(np.where(known, error, 0) ** 2, ground, known))
+    # Few groups of samples tell little of the noise of one receiver: where they agree by chance it would stay as it is, as a spot.
+    value = spread_out(layer.values.sum(axis=1, dtype=np.float64), ground, layer.valid, AROUND)
+    around = np.sqrt(spread_out(np.where(known, error, 0) ** 2, ground, known, AROUND))
     if layer.name == "indirect":
         many = int(ground.piece.max(initial=0)) + 1
 
@@ -81,7 +84,7 @@ def noisy_share(layer: Layer, ground: Ground) -> np.ndarray:
     return np.where(layer.valid & (value > 0), share, 0)
 
 
-def merged(layer: Layer, smooth: np.ndarray, share: np.ndarray, ground: Ground) -> np.ndarray:
+def merged(layer: NoisyLight, smooth: np.ndarray, share: np.ndarray, ground: Ground) -> np.ndarray:
     """(n, 3) float32: the values with their `share` (n,) of `smooth`, scaled so that every piece keeps its mean in each channel."""
     out = np.array(layer.values, np.float64)
     many = int(ground.piece.max(initial=0)) + 1

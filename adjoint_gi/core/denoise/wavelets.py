@@ -35,13 +35,14 @@ def smoothed(values: np.ndarray, error: np.ndarray, ground: Ground, valid: np.nd
     return (values * albedo).astype(np.float32)
 
 
-def spread_out(values: np.ndarray, ground: Ground, valid: np.ndarray) -> np.ndarray:
-    """(n,) float64 means of `values` (n,) over each receiver and those beside it, in its piece."""
-    values = np.where(valid, values, 0.0)
-    total, many = values.copy(), valid.astype(np.float64)
-    for i, j, weight in ground.neighbours.pairs(0):
-        total += np.bincount(i, weight * values[j], len(values))
-        many += np.bincount(i, weight * valid[j], len(values))
+def spread_out(values: np.ndarray, ground: Ground, valid: np.ndarray, levels: int = 1) -> np.ndarray:
+    """(n,) float64 means of `values` (n,) over each receiver and those around it, in its piece, ever farther with more `levels`."""
+    total, many = np.where(valid, values, 0.0).astype(np.float64), valid.astype(np.float64)
+    for level in range(levels):
+        values, weights = total.copy(), many.copy()
+        for i, j, weight in ground.neighbours.pairs(level):
+            total += np.bincount(i, weight * values[j], len(values))
+            many += np.bincount(i, weight * weights[j], len(values))
     return total / np.maximum(many, 1e-12)
 
 
