@@ -153,3 +153,13 @@ def test_shadow_rays_end_before_the_face_that_they_look_at():
     height = (distance - world.short_of(distance, triangle, cosine)).astype(float) * cosine
     assert (height > 0.99 * world.offset[0]).all()
     np.testing.assert_allclose(height, height[0], rtol=0.02)
+
+
+def test_a_finely_cut_object_far_away_does_not_take_the_origin():
+    """Objects count, not triangles: ten sheets of a room outweigh one lost object of a thousand faces."""
+    b = SceneBuilder()
+    for k in range(10):
+        b.quad(f"Sheet {k}", (0, 0, 0.1 * k), (1, 0, 0), (0, 1, 0), GREY)
+    far = np.tile([[5000.0, 0, 0], [5001, 0, 0], [5000, 1, 0]], (1000, 1)) + np.repeat(np.arange(1000), 3)[:, None] * [0, 0, 1e-3]
+    b.mesh("Lost", far, np.arange(3000).reshape(-1, 3), GREY)
+    assert np.linalg.norm(World(b.build()).center) < 10
