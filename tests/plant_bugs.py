@@ -1132,6 +1132,13 @@ BUGS = (
         "weight = np.ones(len(owner))",
         "tests/core/test_precision.py -k finely",
     ),
+    Bug(
+        "long chains of mirrors end as lost paths do",
+        "adjoint_gi/core/walks/paths.py",
+        "chance**4 if mirrored is None else np.where(mirrored, chance, chance**4)",
+        "chance**4",
+        "tests/methods/test_every_method.py -k multi_pass-plates",
+    ),
 )
 
 

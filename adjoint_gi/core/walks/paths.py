@@ -42,15 +42,17 @@ def by_root(strength: np.ndarray) -> np.ndarray:
     return np.minimum(np.sqrt(strength), ONE)
 
 
-def in_the_dark(dark: np.ndarray, most: np.ndarray, after: int) -> np.ndarray:
+def in_the_dark(dark: np.ndarray, most: np.ndarray, after: int, mirrored: np.ndarray | None) -> np.ndarray:
     """(n,) float32 chance to go on of paths that have found no light at the last `dark` (n,) vertices, after `most` (n,) at their worst.
 
-    Between white walls of closed bodies nothing else ends paths. Of those that find no light at s > `after` vertices in a row
+    Between white walls of closed bodies nothing else ends paths. Of those that find no light at s vertices in a row, more than `after`,
     (after / s)^4 go on, with weights that grow as the inverse. Only a longest row so far costs anything, so a weight never grows by more
-    than that power of the length: the estimate has a finite variance wherever light falls with length geometrically.
+    than that power of the length: the estimate has a finite variance wherever light falls with length geometrically. Between mirrors, whose
+    vertices are `mirrored` (n,) bool, it falls as slowly as the inverse cube of the length: there after / s go on, for the same reason.
     """
     row = np.maximum(dark, 1).astype(np.float32)
-    return np.where((dark > after) & (dark > most), ((row - 1) / row) ** 4, ONE)
+    chance = (row - 1) / row
+    return np.where((dark > after) & (dark > most), chance**4 if mirrored is None else np.where(mirrored, chance, chance**4), ONE)
 
 
 def russian_roulette(
@@ -307,7 +309,8 @@ class Paths:
         dark, most = self.carried["dark"], self.carried["darkest"]
         dark += 1
         few = len(rows) < FEW * self.direct.shape[1]
-        chance = in_the_dark(dark.take(rows), most.take(rows), DARK // 2 if few else DARK)
+        mirrored = None if self.ray.delta is None else self.ray.delta.take(rows)
+        chance = in_the_dark(dark.take(rows), most.take(rows), DARK // 2 if few else DARK, mirrored)
         np.maximum(most, dark, out=most)
         return lambda strength: np.minimum(self.walk.survival(strength), chance)
 
