@@ -97,7 +97,7 @@ def test_a_game_level_is_unwrapped_and_rasterized_without_a_loop_over_its_faces(
     assert make_lightmap_uvs([obj], 1024, (1,)) == []
     (m, lm), calls = counted(lambda: raster(obj, obj.data[module.STORED], 1024))
     assert calls < 5 * len(m.triangles)  # batches of texels; a loop over faces calls at least ten functions for each
-    assert lm.overlapping == 0 and lm.outside == 0 and lm.covered.mean() > 0.5
+    assert lm.overlapping == 0 and lm.outside == 0 and lm.covered.mean() > 0.45
     assert len(np.unique(lm.receivers.triangle)) > 0.65 * len(m.triangles)
 
 

@@ -66,7 +66,7 @@ def noisy_share(layer: NoisyLight, ground: Ground) -> np.ndarray:
     Of indirect light, which has no sharp edges, all get as much as their piece has noise: it comes from few bright samples, and where
     none has come by chance nothing tells of it.
     """
-    error = np.where(np.isfinite(layer.error), layer.error, np.inf)
+    error = np.where(np.isfinite(layer.error), layer.error, _spread(layer, ground))
     known = np.isfinite(error) & layer.valid
     # Few groups of samples tell little of the noise of one receiver: where they agree by chance it would stay as it is, as a spot.
     value = spread_out(layer.values.sum(axis=1, dtype=np.float64), ground, layer.valid, AROUND)
@@ -82,6 +82,15 @@ def noisy_share(layer: NoisyLight, ground: Ground) -> np.ndarray:
     relative = np.where(known, around, np.inf) / np.maximum(value, 1e-30)
     share = np.clip((relative - CLEAN) / (NOISY - CLEAN), 0, 1)
     return np.where(layer.valid & (value > 0), share, 0)
+
+
+def _spread(layer: NoisyLight, ground: Ground) -> np.ndarray:
+    """(n,) float64 deviation of the values around each receiver: what there is to judge noise by where the error is not known."""
+    total = layer.values.sum(axis=1, dtype=np.float64)
+    mean, square = (spread_out(x, ground, layer.valid, AROUND) for x in (total, total**2))
+    # What is below the rounding of the difference is none.
+    spread = square - mean**2
+    return np.sqrt(np.where(spread > 1e-6 * square, spread, 0))
 
 
 def merged(layer: NoisyLight, smooth: np.ndarray, share: np.ndarray, ground: Ground) -> np.ndarray:
