@@ -8,6 +8,7 @@ entering  what of this arrives at surfaces straight from the emitters, before an
 from __future__ import annotations
 
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -37,8 +38,18 @@ class LightFlux:
     passing: float
 
 
+_MEASURED: WeakKeyDictionary[World, LightFlux] = WeakKeyDictionary()  # a world does not change after it is made
+
+
 def light_flux(world: World, mesh: MeshLights, lamps: Lamps, background: Background) -> LightFlux:
-    """Of a world with these lights. Powers are exact but for textured emission; what meets a surface is found by rays, always the same."""
+    """Of a world with its lights. Powers are exact but for textured emission; what meets a surface is found by rays, always the same, so
+    it is found once for each world."""
+    if world not in _MEASURED:
+        _MEASURED[world] = _measure(world, mesh, lamps, background)
+    return _MEASURED[world]
+
+
+def _measure(world: World, mesh: MeshLights, lamps: Lamps, background: Background) -> LightFlux:
     sources = lamps.sources() + background.sources()
     far = sum(_falling(world, s.kind, s.index) for s in sources if s.kind.far)
     near = [s for s in sources if not s.kind.far]
