@@ -8,10 +8,14 @@ import dataclasses
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
+from adjgi.adjoint_gi.core.flux.detectors import CameraDetector
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.lights.direct import direct_irradiance
+from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, RayKind, Source, Term, Texture
 from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.adjoint_gi.core.walks.sight import see
 from adjgi.tests import scenes
 from adjgi.tests.solving import grid, look, quad_points, solve
 
@@ -89,11 +93,14 @@ def test_ten_sheets_in_a_stack(name):
     assert stacked == pytest.approx(0.9**10 * bare, rel=0.03 if name == "particle_tracing" else 1e-3)
 
 
-def test_lamps_that_cast_no_shadow_are_not_tinted():
+@pytest.mark.parametrize("name", ["path_tracing", "local_illumination", "whitted", "directional_radiosity"])
+def test_lamps_that_cast_no_shadow_are_not_tinted(name):
     b = under(sheet(TINT), None)
     b.light(dataclasses.replace(LAMPS["point"], shadow=False))
-    bare = direct(under(sheet(TINT), "point", 0).build(), "path_tracing")
-    assert direct(b.build(), "path_tracing").direct.mean() == pytest.approx(bare.direct.mean(), rel=1e-5)
+    elements = name == "directional_radiosity"  # with other ones under a sheet
+    options = {"direct_light": "elements", "rays": 1, "light_samples": 4, "max_edge": 1.0} if elements else {}
+    bare = direct(under(sheet(TINT), "point", 0).build(), name, **options)
+    assert direct(b.build(), name, **options).direct.mean(axis=0) == pytest.approx(bare.direct.mean(axis=0), rel=0.05 if elements else 1e-5)
 
 
 def alpha_image():
@@ -278,6 +285,64 @@ def test_cameras_see_through_sheets(name):
     found = solve(name, world, CameraReceivers(world), **options)
     assert found.emitted == pytest.approx(np.tile(2 * t**3 + 0.4 * t**2, (16, 1)), rel=1e-4)
     assert np.abs(found.quantity("radiance") - found.emitted).max() < 1e-5
+
+
+def test_a_lamp_before_a_sheet_is_seen_once():
+    """Of two lamps the one behind the sheet has its colour, and the one before it does not shine again behind it."""
+    b = SceneBuilder()
+    b.quad("Sheet", (-9, 2, -9), (18, 0, 0), (0, 0, 18), sheet(TINT))
+    for y, level in ((1.0, 3.0), (3.0, 5.0)):
+        axes = {"axis_x": (1, 0, 0), "axis_y": (0, 0, -1), "axis_z": (0, 1, 0)}
+        b.light(Light("Lamp", "area", (level,) * 3, (0, y, 0), size_x=9, size_y=9, **axes))
+    b.camera = look((0, 0, 0), (0, 1, 0), size=2)
+    world = World(b.build())
+    receivers = CameraReceivers(world, 1)
+    (points,) = receivers.sites()
+    bright = Emitters(world).along(points.origin, -points.towards, np.full(4, np.inf, np.float32))
+    assert bright == pytest.approx(np.full((4, 3), bright.max()), rel=1e-4) and bright.max() > 0
+    for split in (False, True):
+        found = see(Emitters(world), receivers, points, np.random.default_rng(1), split=split).emitted
+        assert found == pytest.approx(bright * (3 + 5 * np.array(TINT)) / 8, rel=1e-4)
+
+
+@pytest.mark.parametrize(("name", "options"), [("path_tracing", {"samples": 64}), ("irradiance_cache", {"light_samples": 64})])
+def test_a_large_lamp_before_a_sheet_lights_once(name, options):
+    """Rays that meet it on their way to the sheet do not meet it again behind."""
+    found = []
+    for layers in (0, 1):
+        b = under(sheet(1.0), None, layers)
+        b.light(dataclasses.replace(LAMPS["large area"], position=(0.0, 0.0, 0.5)))
+        found.append(direct(b.build(), name, **options).direct.mean())
+    assert found[1] == pytest.approx(found[0], rel=0.02 if name == "path_tracing" else 0.1)
+
+
+def test_rays_behind_sheets_are_counted():
+    """Of 64 points each casts a light ray, a ray by the cosine, and as many of those again as pass a sheet: all but hardly any."""
+    cast = []
+    for layers in (0, 1, 3):
+        b = under(sheet(1.0), None, layers)
+        b.quad("Panel", (-0.5, -0.5, 1.6), (0, 1, 0), (1, 0, 0), diffuse("Panel", 0.0, 2.0))
+        world = World(b.build())
+        surface = world.surface(np.zeros(64, np.int32), *np.random.default_rng(1).random((2, 64), np.float32) / 2)
+        cast.append(direct_irradiance(world, Emitters(world), surface, 16, np.random.default_rng(2))[1])
+    assert 0.8 * 1024 < cast[1] - cast[0] <= 1024 and cast[2] - cast[0] == pytest.approx(3 * (cast[1] - cast[0]), rel=0.02)
+
+
+@pytest.mark.parametrize(("end", "seen"), [(1.9, False), (2.1, True)])
+def test_the_far_plane_is_as_far_behind_a_sheet(end, seen):
+    """What camera rays meet behind a sheet at 1 m lies beyond the far plane or not by its distance from the camera; its potential, too."""
+    b = SceneBuilder()
+    b.quad("Wall", (-9, 2, -9), (18, 0, 0), (0, 0, 18), diffuse("Wall", 0.5))
+    b.quad("Sheet", (-9, 1, -9), (18, 0, 0), (0, 0, 18), sheet(0.9))
+    b.camera = dataclasses.replace(look((0, 0, 0), (0, 1, 0), size=2), clip_end=end)
+    world = World(b.build())
+    receivers = CameraReceivers(world, 1)
+    (points,) = receivers.sites()
+    _, behind = see(Emitters(world), receivers, points, np.random.default_rng(1), split=True).layers
+    assert (behind.points.triangle >= 0).tolist() == [seen] * 4
+    elements = Elements(world, 20.0)
+    g = CameraDetector(world).on_elements(elements).any(axis=1)
+    assert g[: 2 * int((elements.patch_triangle[elements.patch] < 2).sum())].any() == seen
 
 
 def test_rays_keep_their_kind_behind_a_sheet():

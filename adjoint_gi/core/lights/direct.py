@@ -149,7 +149,8 @@ def from_hits(
     if len(emitters.shared):
         rows = np.flatnonzero((pdf < INF) & (pdf > LEAST))
         o, d = (origin, w) if len(rows) == len(t) else (origin.take(rows, axis=1), w.take(rows, axis=1))
-        yield rows, emitters.lamps_met(o, d, distance.take(rows), pdf.take(rows), mesh, beyond if beyond is None else beyond.take(rows))
+        nearer = beyond if beyond is None else beyond.take(rows)
+        yield rows, emitters.lamps_met(o, d, distance.take(rows), pdf.take(rows), mesh, beyond=nearer)
     if len(emitters.sized):
         # Lamps that light points cannot find for these rays, in full.
         rows = np.flatnonzero(pdf == INF if lamps is None else (pdf == INF) & lamps)
