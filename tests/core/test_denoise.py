@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.core.denoise import wavelets
 from adjgi.adjoint_gi.core.denoise.ground import GridNeighbours, Ground, pixel_ground, texel_ground, vertex_ground
 from adjgi.adjoint_gi.core.denoise.images import BORDER, image_denoiser
 from adjgi.adjoint_gi.core.denoise.step import NoisyLight, can_denoise, denoised, noisy_share, own_denoiser
@@ -14,7 +15,7 @@ from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.method.solution import Solution
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
-from adjgi.adjoint_gi.core.receivers.texels import rasterize
+from adjgi.adjoint_gi.core.receivers.texels import join, rasterize
 from adjgi.adjoint_gi.core.receivers.vertices import vertex_receivers
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests.scenes import cornell
@@ -193,3 +194,102 @@ def test_share_follows_the_noise():
     uneven = (ones * np.random.default_rng(1).exponential(size=(36, 1))).astype(np.float32)
     assert (shares[3] == 0).all()
     assert (noisy_share(NoisyLight("direct", uneven, np.full(36, np.inf, np.float32), valid), ground) == 1).all()
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_pixels_lie_beside_those_of_all_eight_directions(level):
+    """Every pixel of an image is joined with the eight at the distance of the level, with those at the corners for half as much."""
+    ground, step = grid(np.zeros((7, 9), np.int64)), 1 << level
+    weight = np.zeros((63, 63))
+    for i, j, h in ground.neighbours.pairs(level):
+        np.add.at(weight, (i, j), h)
+    y, x = np.divmod(np.arange(63), 9)
+    dy, dx = np.abs(y[:, None] - y), np.abs(x[:, None] - x)
+    straight = (dy + dx == step) & ((dy == 0) | (dx == 0))
+    assert (weight == 0.5 * straight + 0.25 * ((dy == step) & (dx == step))).all()
+
+
+def test_charts_of_two_images_are_pieces_of_their_own():
+    """Objects that each have a lightmap: no light goes from the texels of one to those of the other, nor do they share a mean."""
+    b = SceneBuilder()
+    for k in range(2):
+        b.quad(f"Quad {k}", (3 * k, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
+    world = World(b.build())
+    maps = [rasterize(world, [k], "", 4, 1) for k in range(2)]
+    ground = texel_ground(world, join([m.receivers for m in maps])[0], maps)
+    assert ground.piece.tolist() == [0] * 16 + [1] * 16
+    assert [image.min() for image in ground.neighbours.images] == [0, 16]
+
+
+def flat(values: np.ndarray, error: float | np.ndarray, ground: Ground) -> np.ndarray:
+    """Smoothed where all receivers have a value."""
+    n = len(values)
+    return smoothed(np.asarray(values, np.float32), np.broadcast_to(np.float32(error), n), ground, np.ones(n, bool))
+
+
+def test_noise_that_nobody_knows_is_judged_alike_in_bright_and_in_dim_light():
+    ground, valid = grid(np.zeros((8, 8), np.int64)), np.ones(64, bool)
+    values = 1 + 0.06 * np.random.default_rng(5).standard_normal((64, 1)) * np.ones(3)
+    unknown = np.full(64, np.inf, np.float32)
+    shares = [noisy_share(NoisyLight("indirect", (values * s).astype(np.float32), unknown, valid), ground) for s in (1.0, 0.01, 100.0)]
+    assert shares[0].min() > 0.2 and shares[0].max() < 0.8  # what 6 % of noise gets
+    assert shares[1] == pytest.approx(shares[0], rel=1e-3) and shares[2] == pytest.approx(shares[0], rel=1e-3)
+
+
+def test_light_under_a_grey_texture_is_smoothed_as_the_light_itself():
+    ground, rng = grid(np.zeros((12, 12), np.int64)), np.random.default_rng(6)
+    values = rng.normal(1, 0.2, (144, 3))
+    white = flat(values, 0.1, ground)
+    grey = flat(values * 0.25, 0.025, dataclasses.replace(ground, albedo=np.full((144, 3), 0.25, np.float32)))
+    assert grey == pytest.approx(0.25 * white, rel=1e-5)
+
+
+@pytest.mark.parametrize("border", ["edge", "step"])
+def test_light_does_not_go_round_an_edge_nor_down_a_step(border):
+    """Two halves that face apart, or lie 9 pixels over each other, keep their light however noisy it is."""
+    ground = grid(np.zeros((8, 16), np.int64))
+    right = np.arange(128) % 16 >= 8
+    if border == "edge":
+        ground = dataclasses.replace(ground, normal=np.where(right[:, None], np.float32([1, 0, 0]), np.float32([0, 0, 1])))
+    else:
+        ground = dataclasses.replace(ground, position=ground.position + np.where(right[:, None], np.float32([0, 0, 900]), 0))
+    values = np.where(right[:, None], 2.0, 1.0) * np.ones(3)
+    assert flat(values, 50.0, ground) == pytest.approx(values, rel=1e-4)
+    assert np.ptp(flat(values, 50.0, grid(np.zeros((8, 16), np.int64)))) < 0.9
+
+
+def test_noise_falls_with_the_squares_of_the_weights():
+    """The mean over a pixel and its eight neighbours, weights 4 x 1/2 and 4 x 1/4 beside its own: (1 + 1 + 1/4) / 16 of the variance."""
+    ground, n = grid(np.zeros((5, 5), np.int64)), 25
+    _, variance = wavelets._level(np.ones((n, 3)), np.ones(n), ground, np.ones(n, bool), 0)
+    assert variance[12] == pytest.approx(2.25 / 16)
+
+
+def test_images_and_layers_that_share_a_packed_image_come_back_to_their_places():
+    """Three images of two layers, a thousand times as bright one as the other, through a denoiser that leaves all as it is."""
+    shapes, first, images = ((5, 9), (12, 4), (7, 7)), 0, []
+    for h, w in shapes:
+        images.append(first + np.arange(h * w).reshape(h, w))
+        first += h * w
+    piece = np.repeat(np.arange(3), [h * w for h, w in shapes])
+    ones = np.ones((first, 3), np.float32)
+    ground = Ground(piece, ones * 0, ones, ones[:, 0], ones, GridNeighbours(images, piece))
+    rng, valid = np.random.default_rng(7), np.ones(first, bool)
+    layers = [
+        NoisyLight(name, (scale * rng.random((first, 3))).astype(np.float32), ones[:, 0], valid)
+        for name, scale in zip("ab", (1, 1000), strict=True)
+    ]
+    seen = []
+    found = image_denoiser(ground, lambda image, *_: seen.append(image.mean()) or image)(layers)
+    assert len(seen) == 1
+    for layer, values in zip(layers, found, strict=True):
+        assert values == pytest.approx(layer.values, rel=1e-5)
+
+
+def test_pixels_far_apart_may_lie_as_much_farther_from_the_plane():
+    """On a slope that the normals know nothing of, neighbours at eight times the distance count as much as the nearest."""
+    ground, n = grid(np.zeros((33, 33), np.int64)), 33 * 33
+    slope = ground.position + ground.position[:, :1] * np.float32([0, 0, 0.5])
+    ground = dataclasses.replace(ground, position=slope.astype(np.float32))
+    near, far = (wavelets._level(np.ones((n, 3)), np.ones(n), ground, np.ones(n, bool), level)[1][n // 2] for level in (0, 3))
+    assert near < 0.3 and far == pytest.approx(near, rel=1e-3)

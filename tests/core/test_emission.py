@@ -11,6 +11,7 @@ from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights import mesh
 from adjgi.adjoint_gi.core.lights.emission import Emission
 from adjgi.adjoint_gi.core.lights.outgoing import cone_directions, reject
+from adjgi.adjoint_gi.core.lights.patches import Patches
 from adjgi.adjoint_gi.core.sampling.maps import cosine_directions, disk
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, RayKind, Source, Term, Texture
 from adjgi.adjoint_gi.core.scene.world import World
@@ -484,3 +485,17 @@ def test_helpers_stay_in_their_domain():
     assert np.isfinite(cone_directions(1.0, s, s)).all()
     x, y = disk(s, s)
     assert (x * x + y * y <= 1 + 1e-12).all()
+
+
+def test_light_points_on_pictures_know_their_density():
+    """Points drawn on a picture have the density that is told for them; dark parts, which may hide a bright spot, are drawn, too."""
+    pixels = np.zeros((8, 8, 4), np.float32)
+    pixels[5, 2:4] = 1
+    world, rng = textured_panel(pixels), np.random.default_rng(1)
+    patches = Patches(world, np.arange(2))
+    k = rng.integers(0, 2, 20_000)
+    u, v, density = patches.sample(k, rng.random(len(k)), rng.random(len(k), np.float32))
+    assert (np.abs(patches.density(k, u, v) / density - 1) < 1e-5).mean() > 0.999  # but for points on the edge of two parts
+    a, b = rng.random((2, len(k)))
+    flat = patches.density(k, np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b))
+    assert flat.mean() == pytest.approx(1, rel=0.1) and 0.04 < flat.min() < 0.06

@@ -4,11 +4,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder
+from adjgi.adjoint_gi.core.elements.elements import Elements
+from adjgi.adjoint_gi.core.elements.rays import ElementRays
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.radiosity.southwell import DiffuseShooting
 from adjgi.adjoint_gi.core.sampling.maps import sphere
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material, RayKind
 from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.adjoint_gi.core.two_pass.extended_factors import ExtendedShots
 from adjgi.adjoint_gi.core.two_pass.known_light import lengths_of
 from adjgi.adjoint_gi.core.walks.mirror_chains import ROULETTE_FROM, Chains
 
@@ -58,3 +61,18 @@ def test_the_ambient_estimate_counts_what_escapes_on_every_bounce():
     stays, mean_rho, whole, unshot = 0.6, (0.5 + 3 * 0.7) / 4, 4.0, 4.0 + 3.0
     series = sum(unshot * stays * (mean_rho * stays) ** k for k in range(200))
     assert state.ambient() == pytest.approx(series / whole)
+
+
+def test_light_that_goes_straight_through_a_sheet_is_conserved_by_chains():
+    """What a shot sends arrives at diffuse lobes, escapes, or is lost where it is said to be: half of it on clear sheets it is none."""
+    b = SceneBuilder()
+    b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), diffuse("Floor", 0.5))
+    b.quad("Sheet", (-9, -9, 0.5), (18, 0, 0), (0, 18, 0), Material("Clear", (Lobe("transparent", Color.of(0.6)),)))
+    b.quad("Ceiling", (-9, -9, 1), (0, 18, 0), (18, 0, 0), diffuse("Ceiling", 0.5))
+    world = World(b.build())
+    shots = ExtendedShots(ElementRays(Elements(world, 100.0)), Chains(world, 4))
+    arrived, escaped = shots.shoot(np.array([0]), np.ones((1, 3)), np.array([4000]))
+    flux = shots.area @ arrived
+    assert flux + shots.other + escaped == pytest.approx(np.full(3, 4.0), rel=1e-5)
+    # The sheet, which scatters nothing, has taken its share; nearly all of the rest has met the ceiling.
+    assert shots.area[4:] @ arrived[4:] == pytest.approx(np.full(3, 0.6 * 4.0), rel=0.03)

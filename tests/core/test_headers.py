@@ -72,6 +72,7 @@ FILES = {
     "turned radiance": (b"#?RGBE\nFORMAT=x\n\n+X %d -Y %d\n" % (W, H), FLOATS),
     "tiff": (tiff("<", [(256, 3, W), (257, 3, H), (258, 3, 8)]), BYTES),
     "tiff of 16 bits": (tiff(">", [(256, 4, W), (257, 4, H), (258, 3, 16), (277, 3, 3)]), FLOATS),
+    "tiff of 12 bits": (tiff("<", [(256, 3, W), (257, 3, H), (258, 3, 12), (277, 3, 3)]), FLOATS),
     "tiff of tiles": (tiff("<", [(256, 4, W), (257, 4, H), (322, 4, 9000), (323, 4, 10)]), 4 * 9000 * H),
     "psd": (b"8BPS\0\1" + bytes(6) + struct.pack(">HIIH", 3, H, W, 8), BYTES),
     "dds": (b"DDS " + struct.pack("<IIIIII", 124, 0, H, W, 0, 1) + bytes(84) + struct.pack("<I", 0), FLOATS),
@@ -79,6 +80,10 @@ FILES = {
     "jpeg 2000": (JP2 + box(b"jp2h", box(b"ihdr", struct.pack(">IIH", 1, 1, 3))) + box(b"jp2c", siz(W, H)), FLOATS),
     "bare jpeg 2000": (siz(W, H, 4), FLOATS),
     "webp": (b"RIFF" + struct.pack("<I", 99) + b"WEBP" + chunk(b"VP8 ", bytes(3) + b"\x9d\x01\x2a" + struct.pack("<HH", W, H)), BYTES),
+    "webp behind an odd block": (
+        b"RIFF" + struct.pack("<I", 99) + b"WEBP" + chunk(b"ALPH", b"\1\2\3")
+        + chunk(b"VP8 ", bytes(3) + b"\x9d\x01\x2a" + struct.pack("<HH", W, H)), BYTES,
+    ),
     "lossless webp": (
         b"RIFF" + struct.pack("<I", 99) + b"WEBP" + chunk(b"VP8L", struct.pack("<BI", 0x2F, W - 1 | H - 1 << 14)), BYTES,
     ),

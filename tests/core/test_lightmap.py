@@ -294,3 +294,19 @@ def test_many_triangles_are_rasterized_together(monkeypatch):
     lm, calls = counted(lambda: rasterize(world, [0], resolution=512, subsamples=4))
     assert lm.covered.sum() > 0.7 * 512 * 512
     assert calls < world.triangle_count / 10, calls
+
+
+def test_zeros_of_both_signs_are_one_place():
+    """Vertices that are split at the origin do not part a surface, nor does a corner whose UVs are rounded to -0."""
+    assert len(set(charts.weld(np.array([[0.0, 0.0, 1.0], [-0.0, 0.0, 1.0], [0.0, -0.0, 1.0]])))) == 1
+    uv = np.array([[[0, 0], [1, 0], [0, 1]], [[-0.0, 1], [1, -0.0], [1, 1]]], np.float32)
+    assert charts.uv_charts(np.array([[0, 1, 2], [2, 1, 3]]), uv).tolist() == [0, 0]
+
+
+def test_texels_that_two_faces_claim_are_told_as_a_share():
+    b = SceneBuilder()
+    for z in (0, 1):
+        b.quad(f"Quad {z}", (0, 0, z), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
+    notice, *_ = rasterize(World(b.build()), [0, 1], "", 4, 1).warnings
+    assert "12 texels (75.0 %) are claimed" in notice.reason  # the centres of the others lie on an edge
+    assert notice.object == "Quad 0, Quad 1"

@@ -12,6 +12,7 @@ from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.lights.lamps import Lamps
 from adjgi.adjoint_gi.core.method import noise
 from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.radiosity.lamp_light import LampLight, light_notices
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Light
 from adjgi.adjoint_gi.core.scene.world import World
@@ -192,3 +193,29 @@ def test_lights_are_lamps_that_shine_and_objects_that_emit():
     for name, power in (("On", 1.0), ("Off", 0.0)):
         b.light(Light(name, "point", (power,) * 3, (0, 0, 3)))
     assert lights_of(Emitters(World(b.build()))) == 6 + 1  # each side is an object of two triangles
+
+
+def test_light_of_lamps_that_is_reflected_close_by_is_told():
+    """Between two plates of 1 m and 2 cm apart, lit from outside: what they send there is too close for their elements."""
+    b = SceneBuilder()
+    b.quad("Below", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
+    b.quad("Above", (0, 0, 0.02), (0, 1, 0), (1, 0, 0), diffuse("Grey", 0.5))
+    world = World(b.build())
+    elements = Elements(world, 1.0)
+    lit = np.zeros((4, 3))
+    lit[0] = 1
+    (notice,) = light_notices(elements, Emitters(world), lit)
+    assert notice.object == "Below" and "surfaces 0.02" in notice.reason  # 2 cm, along rays
+
+
+def test_random_methods_look_at_lamps_in_another_way_for_every_seed():
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
+    b.light(Light("Lamp", "area", (1.0, 1.0, 1.0), (0.5, 0.5, 1.0), size_x=1.0, size_y=1.0))
+    world = World(b.build())
+    found = []
+    for seed in ((), (1,), (2,)):
+        light = LampLight(Elements(world, 1.0), Emitters(world), 16, seed=seed)
+        assert [*light.run()][-1] == 1
+        found.append(light.irradiance[0, 0])
+    assert len(set(found)) == 3 and found == pytest.approx([np.mean(found)] * 3, rel=0.2)

@@ -335,3 +335,11 @@ def test_the_residual_is_a_mean_by_area():
     first, second, *_ = jacobi(transport, np.zeros((2, 3)), np.array([[0.0] * 3, [1.0] * 3]), 0.0, 2)
     assert first.residual == 1
     assert second.residual == pytest.approx(0.15 / (3 + 0.15))
+
+
+def test_light_that_sheets_take_on_the_way_is_not_trapped():
+    """Two white sides that see nothing but each other: through a sheet that takes half of blue alone, blue has a limit, red has none."""
+    between = np.array([[0.0, 1.0], [1.0, 0.0]])
+    for shares, caught in (((1.0, 1.0, 0.5), True), ((0.9, 0.9, 0.5), False)):
+        factors = np.array(shares)[:, None, None] * between
+        assert trapped(MatrixTransport(np.ones(2), np.ones((2, 3)), factors, np.zeros((2, 3)))).tolist() == [caught] * 2

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import TargetError
 from adjgi.adjoint_gi.core.base.steps import finish
-from adjgi.adjoint_gi.core.receivers import conformal
+from adjgi.adjoint_gi.core.receivers import conformal, uv_check
 from adjgi.adjoint_gi.core.receivers import unwrap as module
 from adjgi.adjoint_gi.core.receivers.charts import Charts, Mesh, area_vectors, carry, islands, signed_areas, smooth_regions
 from adjgi.adjoint_gi.core.receivers.conformal import MAX_REGION_TRIANGLES, cut_off, make_charts
@@ -306,3 +306,29 @@ def test_the_first_padding_that_fits_is_taken():
     assert unwrap(boxes, 32, (4, 2, 1, 0)).padding < 4
     with pytest.raises(TargetError, match="120 UV islands do not fit into 8 x 8"):
         unwrap(boxes, 8, (4, 2, 1, 0))
+
+
+def two_quads(gap, size=1.0):
+    """Two squares of one mesh whose UVs are `gap` of the image apart."""
+    corner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
+    place = np.concatenate([np.pad(corner + (2 * k, 0), ((0, 0), (0, 1))) for k in range(2)]) * size
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    flat = np.concatenate([corner * (0.5 - gap / 2, 1) + (k * (0.5 + gap / 2), 0) for k in range(2)])
+    return Mesh(place, triangles, np.array([0, 0, 1, 1])), flat[triangles].astype(np.float32)
+
+
+def test_padding_is_in_texels_of_the_image_where_it_is_looked_at_in_less_detail(monkeypatch):
+    """Charts 12 texels apart in an image of 256: more than 8, less than 16, whatever the raster."""
+    mesh, uv = two_quads(12 / 256)
+    for finest in (256, 64):
+        monkeypatch.setattr(uv_check, "FINEST", finest)
+        assert [bool(check([mesh], uv, 256, padding).close) for padding in (8, 16)] == [False, True]
+
+
+def test_faces_are_lost_by_the_density_of_their_object():
+    """A face of 50 cm2 without UVs beside squares that fill the image: at a hundredth of their density it would be a 500th of a texel."""
+    mesh, uv = two_quads(0.0)
+    lost = Mesh(np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]]), np.array([[0, 1, 2]]), np.zeros(1, np.int64))
+    uv = np.concatenate([uv, np.zeros((1, 3, 2), np.float32)])
+    for density, found in ((1.0, [4]), (0.01, [])):
+        assert check([mesh, lost], uv, 64, 1, density=np.array([1.0, density])).lost.tolist() == found

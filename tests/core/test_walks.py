@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
+from adjgi.adjoint_gi.core.flux.detectors import CameraDetector
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights import direct
 from adjgi.adjoint_gi.core.lights.direct import INF, LEAST
 from adjgi.adjoint_gi.core.lights.emission import Emission
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.sampling.maps import PI, columns
-from adjgi.adjoint_gi.core.scene.arrays import Light, RayKind
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material, RayKind
 from adjgi.adjoint_gi.core.scene.faces import Faces
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.diffuse_paths import STRATIFIED, VERTEX, DiffuseVertices, Numbers
@@ -164,3 +165,41 @@ def test_light_from_far_away_that_misses_the_scene_is_no_light_of_it():
     ends = particle_walk(world, Emission(world).draw(4000, rng), 6, rng, lambda hits: None)
     assert ends.escaped > 1000 and ends.escaped_energy == 0
     assert ends.emitted_energy == pytest.approx(ends.absorbed_energy, rel=1e-5) and ends.absorbed_energy > 0
+
+
+CLEAR = Material("Clear", (Lobe("transparent", Color.of(1.0)),))
+
+
+@pytest.mark.parametrize("lamp", [{"radius": 0.3, "soft_falloff": True}, {}], ids=["soft", "point"])
+def test_what_is_too_near_to_be_lit_is_measured_from_the_lamp_not_from_a_sheet_on_the_way(lamp):
+    """A clear sheet 5 cm over a floor changes nothing: rays of a soft lamp light only what is farther than some distance from it."""
+    power = []
+    for sheets in (0, 1):
+        b = SceneBuilder()
+        b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), diffuse("Floor", 0.5))
+        for _ in range(sheets):
+            b.quad("Sheet", (-1.5, -1.5, 0.05), (3, 0, 0), (0, 3, 0), CLEAR)
+        b.light(Light("Lamp", "point", (1.0, 1.0, 1.0), (0.0, 0.0, 1.0), **lamp))
+        world, arrived = World(b.build()), []
+        particles = Emission(world).draw(4000, np.random.default_rng(1))
+        particle_walk(world, particles, 1, np.random.default_rng(2), lambda hits, to=arrived: to.append(_on_floor(hits)))
+        power.append(sum(arrived))
+    assert power[0] > 0 and power[1] == pytest.approx(power[0], rel=0.01)
+
+
+def _on_floor(hits):
+    return float(hits.arriving[hits.surface.triangle < 2].sum(dtype=float))
+
+
+def test_the_far_plane_counts_from_the_camera_for_importance_that_passes_a_sheet():
+    """A sheet on the way does not let the camera see farther: what lies beyond the far plane gets nothing, what lies before it all."""
+    for end, seen in ((1.9, 0), (2.1, 1000)):
+        b = SceneBuilder()
+        b.quad("Wall", (-9, 2, -9), (18, 0, 0), (0, 0, 18), diffuse("Wall", 0.5))
+        b.quad("Sheet", (-9, 1, -9), (18, 0, 0), (0, 0, 18), CLEAR)
+        b.camera = Camera("orthographic", (0, 0, 0), (1, 0, 0), (0, 0, 1), (0, 1, 0), (-0.5, 0.5, -0.4, 0.4), 50, 40, clip_end=end)
+        world, arrived = World(b.build()), []
+        particles = CameraDetector(world).particles(1000, np.random.default_rng(1))
+        rng = np.random.default_rng(2)
+        particle_walk(world, particles, 1, rng, lambda hits, to=arrived: to.append(int((hits.surface.triangle < 2).sum())), importance=True)
+        assert sum(arrived) == seen

@@ -13,7 +13,7 @@ from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
-from adjgi.adjoint_gi.core.sampling.sets import SAMPLERS
+from adjgi.adjoint_gi.core.sampling.sets import SAMPLERS, Sampler
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.radiance import Walk, gather, lobes_of
@@ -302,3 +302,20 @@ def test_lengths_add_up():
     agrees(total, 1.875)
     assert (parts[1].emitted == 0).all()
     assert (parts[2].direct == 0).all()
+
+
+def test_every_surface_that_splits_has_random_numbers_of_its_own(monkeypatch):
+    """Lights and BRDF rays at each of two surfaces, and the place in the pixel: five streams, each of sets of one size."""
+    asked, draw = set(), Sampler.draw
+
+    def noted(self, stream, total, receiver, index, dimensions, rng):
+        asked.add((stream, total, dimensions))
+        return draw(self, stream, total, receiver, index, dimensions, rng)
+
+    monkeypatch.setattr(Sampler, "draw", noted)
+    b, place, _ = above_floor("square")
+    b.box("Room", (-4, -4, 0), (4, 4, 4), diffuse("Grey", 0.5), inward=True)
+    world = World(b.build())
+    solve(world, receivers_at(world, [place]), samples=2, light_samples=3, brdf_samples=5, split_depth=2, sampling="jittered")
+    found = sorted((total, dimensions) for _, total, dimensions in asked)
+    assert found == [(2, 2), (6, 3), (10, 4), (30, 3), (50, 4)] and len({stream for stream, *_ in asked}) == 5

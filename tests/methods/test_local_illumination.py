@@ -10,7 +10,8 @@ import pytest
 from adjgi.adjoint_gi.core.bsdf.cook_torrance import cook_torrance
 from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.lights.light_points import phong_lobe
+from adjgi.adjoint_gi.core.lights.emitters import Emitters
+from adjgi.adjoint_gi.core.lights.light_points import LightPoints, phong_lobe
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
 from adjgi.adjoint_gi.core.scene.world import World
@@ -226,3 +227,17 @@ def test_emission_is_seen_and_lengths_choose():
     assert (one.emitted == 0).all()
     assert (one.indirect == 0).all()
     np.testing.assert_array_equal(one.direct, whole.direct)
+
+
+def test_one_light_point_stands_in_the_middle_of_what_is_emitted():
+    """Of panels side by side of powers 1, 6 and 2 the one that half of the power lies before; its sum is that of the whole."""
+    b = SceneBuilder()
+    for k, level in enumerate((1.0, 6.0, 2.0)):
+        b.quad(f"Panel {k}", (k - 0.5, -0.5, 10), (0, 1, 0), (1, 0, 0), diffuse(f"Panel {k}", 0.0, level))
+    b.quad("Floor", (-9, -9, 0), (18, 0, 0), (0, 18, 0), diffuse("Floor", 0.5))
+    world = World(b.build())
+    points = receivers_at(world, [(0.5, 0.5, 0)])
+    surface = world.surface(points.triangle, points.u, points.v)
+    ((wi, cosine, radiance, weight, cast),) = LightPoints(Emitters(world), 1).at(world, surface, True)
+    assert 0 < 10 * wi[0, 0] / wi[0, 2] < 1 and cast == 1  # from x = 0.5 to the middle panel, which lies between 0.5 and 1.5
+    assert (radiance * (cosine * weight)[:, None]).mean() == pytest.approx(0.09, rel=0.03)

@@ -14,6 +14,7 @@ from adjgi.adjoint_gi.core.flux.detectors import detector
 from adjgi.adjoint_gi.core.flux.potential_walks import _relative_error, walks_from_camera
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.registry import method
+from adjgi.adjoint_gi.core.radiosity.potential_relaxation import PotentialSystem
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
 from adjgi.adjoint_gi.core.scene.world import World
@@ -341,3 +342,12 @@ def test_walks_from_the_camera_count_the_lengths_that_are_asked_for():
     assert whole.any(axis=(1, 2)).all() and not longer[:2].any() and not shorter[2].any()
     np.testing.assert_array_equal(longer[2], whole[2])
     assert shorter[:2].any(axis=(1, 2)).all()
+
+
+@pytest.mark.parametrize("low", [0, 1, 2])
+def test_what_receivers_see_themselves_counts_from_length_zero(low):
+    elements = Elements(World(scenes.cube(0.5, 1.0)), 1.0)
+    g = np.zeros((2 * elements.count, 3))
+    g[0] = 1
+    parts = PotentialSystem(elements, g, 16, low, 4).parts
+    assert parts[0].sum() == 3 * (low == 0) and not parts[1:].any()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -147,3 +148,16 @@ def test_light_that_is_caught_is_refused_by_name():
 def test_a_dark_scene_says_so():
     s = solve(NAME, on_elements(scenes.cube()))
     assert any("nothing emits light" in str(w) for w in s.warnings)
+
+
+def test_the_stated_error_is_that_of_the_mean_by_area():
+    """Two runs on two sides of areas 1 and 9: sums of channels 3 and 9 on the one, 6 and 6 on the other; both have 6 in the mean."""
+    mean = Mean(np.array([1.0, 9.0]))
+    for first in (1.0, 3.0):
+        light = np.array([[first] * 3, [2.0] * 3])
+        flux = {"total": 10 * first, "absorbed": np.full(3, first), "escaped": np.full(3, 2 * first), "remaining": lambda: np.zeros(3)}
+        mean.add(SimpleNamespace(direct=light / 4, indirect=light * 3 / 4, **flux))
+    # The standard error of the mean on the first side is 3: of 6 there, and of 6 on nine times the area, where it is 0.
+    assert mean.relative_error() == pytest.approx(math.sqrt(3**2 / (10 * 6**2)))
+    found = mean.balance()
+    assert (found.emitted, found.absorbed, found.escaped, found.unshot) == (20, 6, 12, 0)

@@ -160,6 +160,54 @@ def test_ambient_light_is_seen_in_mirrors_and_mirrors_have_none():
     np.testing.assert_allclose(radiance(world, receivers, ambient=0.2), 0.9 * 0.5 * 0.2, rtol=1e-5)
 
 
+def test_sheets_on_the_way_of_mirrored_rays_cost_no_segment():
+    """An emitter seen in a mirror through two clear sheets: by the shares of all three, at a path length of one."""
+    b = SceneBuilder()
+    b.quad("Mirror", (-2, -2, 0), (4, 0, 0), (0, 4, 0), mirror(0.9))
+    for z in (1.2, 1.3):
+        b.quad("Sheet", (-9, -9, z), (18, 0, 0), (0, 18, 0), Material("Sheet", (Lobe("transparent", Color.of(0.6)),)))
+    b.quad("Roof", (-9, -9, 2), (0, 18, 0), (18, 0, 0), diffuse("Roof", 0.0, 5.0))
+    world, receivers = camera(b, (-1, 0, 1), (1, 0, -1), 0.02, 3)
+    for longest in (1, 64):
+        found = solve(world, receivers, max_length=longest)
+        assert found.direct[:, 0] == pytest.approx(np.full(9, 0.9 * 0.6**2 * 5), rel=1e-5) and not found.indirect.any()
+
+
+def lit_by_ambience(material, degrees=75, **options):
+    """Radiance of a plane, seen at an angle to its normal, in ambient light of 0.2 alone."""
+    b, a = SceneBuilder(), math.radians(degrees)
+    b.quad("Plane", (-9, -9, 0), (18, 0, 0), (0, 18, 0), material)
+    way = np.array([math.sin(a), 0, -math.cos(a)])
+    return radiance(*camera(b, -way, way, 0.001, 1), ambient=0.2, **options)[0]
+
+
+def test_a_coat_takes_its_share_of_ambient_light():
+    coated = Material("Coated", (Lobe("diffuse", Color.of(0.5)), Lobe("specular", Color.of(1), 0.0, 1.5)))
+    assert lit_by_ambience(coated) == pytest.approx(0.2 * 0.5 * (1 - fresnel(75, 1.5)), rel=0.01)
+
+
+def test_lobes_reflect_ambient_light_by_their_weight():
+    whole, part = (lit_by_ambience(Material("Gloss", (Lobe("glossy", Color.of(0.8), 0.5, weight=w),))) for w in (1.0, 0.25))
+    assert whole > 0.1 and part == pytest.approx(0.25 * whole, rel=1e-5)
+
+
+def test_ambient_light_has_flown_two_segments_or_more():
+    plane = diffuse("Plane", 0.5)
+    assert lit_by_ambience(plane, max_length=1) == 0
+    assert lit_by_ambience(plane, max_length=2) == pytest.approx(0.1, rel=1e-5)
+
+
+def test_highlights_of_phong_have_the_cosine_of_incidence():
+    """k (n + 2) / (2 pi) cos^n alpha cos theta E, in the middle of the highlight, 60 degrees from the normal."""
+    b, a, roughness, distance = SceneBuilder(), math.radians(60), 0.5, 2.0
+    b.quad("Plane", (-9, -9, 0), (18, 0, 0), (0, 18, 0), mirror(0.9, roughness=roughness))
+    b.light(Light("Lamp", "point", (3, 3, 3), (distance * math.sin(a), 0, distance * math.cos(a))))
+    way = np.array([math.sin(a), 0, -math.cos(a)])
+    n = (2 / roughness**4 - 2) / 4
+    expected = 0.9 * (n + 2) / (2 * math.pi) * math.cos(a) * 3 / distance**2
+    assert radiance(*camera(b, -way, way, 0.001, 1), rough="phong")[0] == pytest.approx(expected, rel=1e-3)
+
+
 # ---- glass
 
 
