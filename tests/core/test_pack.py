@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.errors import TargetError
+from adjgi.adjoint_gi.core.receivers import pack
 from adjgi.adjoint_gi.core.receivers.charts import Charts
 from adjgi.adjoint_gi.core.receivers.pack import pack_again, pack_charts, pack_on_shelves, pack_tightly, place_objects, shelves
 
@@ -100,3 +103,9 @@ def test_shapes_are_packed_closer_than_their_rectangles():
 def test_too_many_charts_do_not_fit(pack):
     with pytest.raises(TargetError, match="100 UV islands do not fit into 16 x 16"):
         pack(rectangles(np.ones((100, 2))), 16, 4)
+
+
+def test_atlases_are_taken_apart_with_care():
+    """The binding alone would hang one bake in a thousand: `receivers.atlas.generate` says why."""
+    core = Path(pack.__file__).parents[1]
+    assert [path.name for path in core.rglob("*.py") if "atlas.generate(" in path.read_text()] == ["atlas.py"]

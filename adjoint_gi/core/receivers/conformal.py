@@ -14,6 +14,7 @@ import numpy as np
 import xatlas
 
 from ..base.steps import Steps, finish, within
+from .atlas import generate
 from .charts import Charts, Mesh, area_vectors, carry, islands, mean_normal, numbered, signed_areas, smooth_regions
 from .projection import FLAT, opened, pieces, project, tightest, worst_cosine
 
@@ -126,7 +127,7 @@ def _grown(place: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.nda
     options.bilinear = False
     options.texels_per_unit = COARSE / max(area, 1.0) ** 0.5
     options.max_chart_size = WIDEST
-    atlas.generate(xatlas.ChartOptions(), options)
+    generate(atlas, options)
     _, corner, uv = atlas.get_mesh(0)
     label = atlas.get_mesh_vertex_assignment(0)[1][corner[:, 0]]
     known = label != NONE

@@ -8,6 +8,7 @@ import numpy as np
 import xatlas
 
 from ..base.errors import TargetError
+from .atlas import generate
 from .charts import Charts, carry, signed_areas
 from .texels import Placement
 
@@ -162,7 +163,7 @@ def _packed(charts: Charts, scale: float, resolution: int, gap: int) -> np.ndarr
     atlas = xatlas.Atlas()
     index = np.arange(len(corner), dtype=np.uint32).reshape(-1, 3)
     atlas.add_uv_mesh(corner, index, charts.chart.astype(np.uint32)[:, None])
-    atlas.generate(xatlas.ChartOptions(), options)
+    generate(atlas, options)
     if atlas.atlas_count != 1:
         return None
 
