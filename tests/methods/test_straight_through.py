@@ -396,3 +396,15 @@ def test_the_albedo_of_a_pixel_is_that_of_what_is_seen_by_its_share():
     b.camera = look((0, 0, 3), (0, 0, -1), half=0.2, size=4)
     world = World(b.build())
     assert solve("local_illumination", world, CameraReceivers(world, grid=2)).albedo == pytest.approx(np.full((16, 3), 0.25 * 0.8))
+
+
+@pytest.mark.parametrize("color", [1.0, 0.5])
+def test_particles_pass_a_sheet_within_the_dark_of_a_soft_lamp(color):
+    """A sheet 0.1 m below a soft lamp of radius 0.3, whose disk reaches through it, takes from particles what it takes from paths."""
+    b = SceneBuilder()
+    b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), diffuse("Floor", 0.0))
+    b.quad("Sheet", (-1.5, -1.5, 0.9), (3, 0, 0), (0, 3, 0), Material("Sheet", (Lobe("transparent", Color.of(color)),)))
+    b.light(Light("Lamp", "point", (1.0, 1.0, 1.0), (0.0, 0.0, 1.0), radius=0.3, soft_falloff=True))
+    world, receivers = World(b.build()), quad_points(*grid(4))
+    particles = solve("particle_tracing", world, receivers, seed=1, particles=200_000).direct.mean()
+    assert particles == pytest.approx(solve("path_tracing", world, receivers, samples=256).direct.mean(), rel=0.02)

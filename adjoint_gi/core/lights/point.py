@@ -14,6 +14,7 @@ import numpy as np
 from ..sampling import maps as sampling
 from ..sampling.maps import ONE, PI, TWO_PI, dot
 from ..scene.arrays import Light, RayKind
+from ..scene.passing import MOST_LAYERS
 from ..scene.world import World
 from .base import LampKind, Rays, Sample, Seen, unit
 from .outgoing import across, sphere_directions
@@ -91,7 +92,7 @@ class PointLights(LampKind):
         middle, half = center + radius * across(direction, x, y), radius * np.sqrt(np.maximum(0, 1 - b2))
         if self.form == "disk":
             dark = radius**2 * b2 / np.maximum(half, 1e-9)
-            return self._rays(i, middle, direction, self._behind(i, middle, direction, half, radius**2 * b2, dark))
+            return self._rays(i, middle, direction, self._behind(i, middle, direction, half, radius**2 * b2, dark, rng))
         if self.holds[i]:
             return self._from_both_sides(i, middle, direction, half, rng)
         # The point where the line leaves the sphere.
@@ -111,20 +112,39 @@ class PointLights(LampKind):
         origin = middle + np.where(inward, -half, half)[:, None] * direction
         share = np.where(inward, 1 / INWARD, 1 / (1 - INWARD))
         rows = np.flatnonzero(inward)
-        share[rows[self._distance(origin[rows], direction[rows]) >= 2 * half[rows]]] = 0
+        share[rows[self._distance(origin[rows], direction[rows], None) >= 2 * half[rows]]] = 0
         return Rays(origin, direction, share[:, None] * self.flux[i])
 
-    def _behind(self, i: int, middle: np.ndarray, direction: np.ndarray, half: np.ndarray, b2: np.ndarray, dark: np.ndarray) -> np.ndarray:
+    def _behind(
+        self,
+        i: int,
+        middle: np.ndarray,
+        direction: np.ndarray,
+        half: np.ndarray,
+        b2: np.ndarray,
+        dark: np.ndarray,
+        rng: np.random.Generator,
+    ) -> np.ndarray:
         """`dark`, or farther where the disk that faces a receiver lies behind something: at b^2 / t behind `middle` for one at t."""
         if not self.holds[i]:
             return dark
-        t = self._distance(middle, -direction)
+        t = self._distance(middle, -direction, rng)
         return np.where(t < half, np.maximum(dark, b2 / np.maximum(t, 1e-12)), dark)
 
-    def _distance(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """(n,) metres to what casts shadows."""
-        rays = (np.ascontiguousarray(a, np.float32) for a in (origin, direction))
-        return self.world.intersect(*rays, RayKind.SHADOW)[3]
+    def _distance(self, origin: np.ndarray, direction: np.ndarray, rng: np.random.Generator | None) -> np.ndarray:
+        """(n,) metres to what casts shadows; with `rng` what lets light straight through is passed by the chance of its share."""
+        world, rays = self.world, tuple(np.ascontiguousarray(a, np.float32) for a in (origin, direction))
+        hit = world.intersect(*rays, RayKind.SHADOW)
+        if rng is None or world.passing is None:
+            return hit[3]
+        hit, rows = tuple(np.array(a) for a in hit), np.arange(len(origin))
+        for _ in range(MOST_LAYERS):
+            rows = rows[(hit[0][rows] >= 0) & world.passing.lets[hit[0][rows]]]
+            rows = rows[rng.random(len(rows)) < world.passing.grey(*(a[rows] for a in hit[:3]))]
+            if not len(rows):
+                break
+            world.onward(*rays, RayKind.SHADOW, hit, rows)
+        return hit[3]
 
     def directions(self, i: int, square: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """(n, 3) float64 directions with density proportional to the intensity: uniform."""

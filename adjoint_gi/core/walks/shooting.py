@@ -11,7 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..scene.passing import Passing
 from ..scene.world import Surface, World
+
+NONE = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +81,8 @@ def shoot(
     dark: np.ndarray | None = None,
     reach: np.ndarray | None = None,
 ) -> Iterator[Segment]:
-    """Fly at most `most` segments. What is met on the first one nearer than `dark` (n,) or farther than `reach` (n,) counts as escaped.
+    """Fly at most `most` segments. What is met on the first one nearer than `dark` (n,) or farther than `reach` (n,) counts as escaped,
+    but for light that it lets straight through nearer than `dark`.
 
     Surfaces that let rays straight through end no segment: those that pass are yielded again with the same number of segments.
     """
@@ -96,7 +100,12 @@ def shoot(
                 met &= flown + t >= dark[row]
             if reach is not None:
                 met &= flown + t <= reach[row]
-            hit, miss = np.flatnonzero(met), np.flatnonzero(~met)
+            # Within the dark of a lamp surfaces get nothing, but let light through as anywhere.
+            inside = NONE if dark is None else np.flatnonzero((triangle >= 0) & (flown + t < dark[row]))
+            near, share = _passed(passing, inside, (triangle[inside], u[inside], v[inside]), rng)
+            lost = ~met
+            lost[near] = False
+            hit, miss = np.flatnonzero(met), np.flatnonzero(lost)
             direction, weight = flight.direction[hit], flight.weight[hit]
             surface = world.surface(triangle[hit], u[hit], v[hit], -direction)
             # Step 2: what goes straight on.
@@ -111,16 +120,31 @@ def shoot(
             yield Segment(row[hit], arrived, scattered, row[miss], flight.weight[miss], passed, layer)
             rows.append(row[hit[scattered.rows]])
             flights.append(scattered.flight)
-            if go is None:
+            if go is None and not len(near):
                 break
-            on = np.flatnonzero(go)
-            flown, layer = (flown + t)[hit[on]], layer + 1
-            kind = flight.kind if np.ndim(flight.kind) == 0 else flight.kind[hit[on]]
-            origin = np.ascontiguousarray(world.leave(surface.take(on), np.ones(len(on), bool)))
-            row, flight = row[hit[on]], Flight(origin, np.ascontiguousarray(direction[on]), kind, passed[on])
+            on = NONE if go is None else np.flatnonzero(go)
+            goes = np.concatenate([hit[on], near])
+            straight = flight.weight[near] * share
+            straight = straight if passed is None else np.concatenate([passed[on], straight])
+            flown, layer = (flown + t)[goes], layer + 1
+            kind = flight.kind if np.ndim(flight.kind) == 0 else flight.kind[goes]
+            behind = world.surface(triangle[goes], u[goes], v[goes], -flight.direction[goes])
+            origin = np.ascontiguousarray(world.leave(behind, np.ones(len(goes), bool)))
+            row, flight = row[goes], Flight(origin, np.ascontiguousarray(flight.direction[goes]), kind, straight)
         if not flights:
             return
         row, flight = rows[0] if len(rows) == 1 else np.concatenate(rows), _joined(flights)
+
+
+def _passed(
+    passing: Passing | None, rows: np.ndarray, hit: tuple[np.ndarray, np.ndarray, np.ndarray], rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Those of `rows` (n,) that surfaces `hit`, triangle, u, v (n,), let straight through, and the factor (m, 3) on their weights."""
+    if passing is None or not len(rows):
+        return NONE, np.zeros((0, 3), np.float32)
+    at = np.flatnonzero(passing.lets[hit[0]])
+    go, factor = passing.draw(*(x[at] for x in hit), rng)
+    return rows[at[go]], factor[go]
 
 
 def _joined(flights: list[Flight]) -> Flight:
