@@ -7,14 +7,12 @@ diffuse (`mirror_chains`). Rows everywhere, (n, 3) float32.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..scene.passing import Passing
+from ..scene.passing import MOST_LAYERS
 from ..scene.world import Surface, World
-
-NONE = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,18 +92,16 @@ def shoot(
         flown, layer = np.float32(0), 0
         while len(row):
             # Step 1: fly to the nearest surface, or escape.
-            triangle, u, v, t = world.intersect(flight.origin, flight.direction, flight.kind)
+            found = world.intersect(flight.origin, flight.direction, flight.kind)
+            if dark is not None and passing is not None:
+                flight, found = _out_of_the_dark(world, flight, found, dark[row] - flown, rng)
+            triangle, u, v, t = found
             met = triangle >= 0
             if dark is not None:
                 met &= flown + t >= dark[row]
             if reach is not None:
                 met &= flown + t <= reach[row]
-            # Within the dark of a lamp surfaces get nothing, but let light through as anywhere.
-            inside = NONE if dark is None else np.flatnonzero((triangle >= 0) & (flown + t < dark[row]))
-            near, share = _passed(passing, inside, (triangle[inside], u[inside], v[inside]), rng)
-            lost = ~met
-            lost[near] = False
-            hit, miss = np.flatnonzero(met), np.flatnonzero(lost)
+            hit, miss = np.flatnonzero(met), np.flatnonzero(~met)
             direction, weight = flight.direction[hit], flight.weight[hit]
             surface = world.surface(triangle[hit], u[hit], v[hit], -direction)
             # Step 2: what goes straight on.
@@ -120,31 +116,33 @@ def shoot(
             yield Segment(row[hit], arrived, scattered, row[miss], flight.weight[miss], passed, layer)
             rows.append(row[hit[scattered.rows]])
             flights.append(scattered.flight)
-            if go is None and not len(near):
+            if go is None:
                 break
-            on = NONE if go is None else np.flatnonzero(go)
-            goes = np.concatenate([hit[on], near])
-            straight = flight.weight[near] * share
-            straight = straight if passed is None else np.concatenate([passed[on], straight])
-            flown, layer = (flown + t)[goes], layer + 1
-            kind = flight.kind if np.ndim(flight.kind) == 0 else flight.kind[goes]
-            behind = world.surface(triangle[goes], u[goes], v[goes], -flight.direction[goes])
-            origin = np.ascontiguousarray(world.leave(behind, np.ones(len(goes), bool)))
-            row, flight = row[goes], Flight(origin, np.ascontiguousarray(flight.direction[goes]), kind, straight)
+            on = np.flatnonzero(go)
+            flown, layer = (flown + t)[hit[on]], layer + 1
+            kind = flight.kind if np.ndim(flight.kind) == 0 else flight.kind[hit[on]]
+            origin = np.ascontiguousarray(world.leave(surface.take(on), np.ones(len(on), bool)))
+            row, flight = row[hit[on]], Flight(origin, np.ascontiguousarray(direction[on]), kind, passed[on])
         if not flights:
             return
         row, flight = rows[0] if len(rows) == 1 else np.concatenate(rows), _joined(flights)
 
 
-def _passed(
-    passing: Passing | None, rows: np.ndarray, hit: tuple[np.ndarray, np.ndarray, np.ndarray], rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Those of `rows` (n,) that surfaces `hit`, triangle, u, v (n,), let straight through, and the factor (m, 3) on their weights."""
-    if passing is None or not len(rows):
-        return NONE, np.zeros((0, 3), np.float32)
-    at = np.flatnonzero(passing.lets[hit[0]])
-    go, factor = passing.draw(*(x[at] for x in hit), rng)
-    return rows[at[go]], factor[go]
+def _out_of_the_dark(
+    world: World, flight: Flight, hit: tuple[np.ndarray, ...], dark: np.ndarray, rng: np.random.Generator
+) -> tuple[Flight, tuple[np.ndarray, ...]]:
+    """The flight and what it hits behind surfaces nearer than `dark` (n,) that let it straight through: they get nothing from a lamp."""
+    hit, weight, rows = tuple(np.array(a) for a in hit), np.array(flight.weight), np.arange(len(dark))
+    for _ in range(MOST_LAYERS):
+        rows = rows[(hit[0][rows] >= 0) & (hit[3][rows] < dark[rows])]
+        rows = rows[world.passing.lets[hit[0][rows]]]
+        go, factor = world.passing.draw(*(a[rows] for a in hit[:3]), rng)
+        rows = rows[go]
+        if not len(rows):
+            break
+        weight[rows] *= factor[go]
+        world.onward(flight.origin, flight.direction, flight.kind, hit, rows)
+    return replace(flight, weight=weight), hit
 
 
 def _joined(flights: list[Flight]) -> Flight:
