@@ -82,6 +82,16 @@ def lightmaps(req: BakeRequest) -> dict[str, Baked]:
     return out
 
 
+def quad(name: str, corners: Sequence[tuple[float, float, float]], material: bpy.types.Material) -> bpy.types.Object:
+    """An object of one face with four `corners`."""
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
+    mesh.materials.append(material)
+    obj = bpy.data.objects.new(name, mesh)
+    bpy.context.scene.collection.objects.link(obj)
+    return obj
+
+
 def on_one_triangle(lightmap: Lightmap) -> np.ndarray:
     """(h, w) bool: all points of the texel lie on one triangle, where Cycles samples the texel as we do."""
     r = lightmap.receivers

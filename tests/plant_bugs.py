@@ -1393,9 +1393,9 @@ BUGS = (
     ),
     Bug(
         "noise that nobody knows is a variance",
-        "adjoint_gi/core/denoise/step.py",
-        "return np.sqrt(np.where(spread > 1e-6 * square, spread, 0))",
-        "return np.where(spread > 1e-6 * square, spread, 0)",
+        "adjoint_gi/core/denoise/wavelets.py",
+        "around = np.abs(value - spread_out(value, ground, valid)) * 1.25",
+        "around = (value - spread_out(value, ground, valid)) ** 2 * 1.25",
         "tests/core/test_denoise.py -k nobody_knows",
     ),
     Bug(

@@ -45,23 +45,13 @@ LAMPS = {
 OTHERS = ("mesh", "world")
 
 
-def sheet(name, points, material):
-    """One quad."""
-    mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata(points, [], [(0, 1, 2, 3)])
-    mesh.materials.append(material)
-    obj = bpy.data.objects.new(name, mesh)
-    bpy.context.scene.collection.objects.link(obj)
-    return obj
-
-
 def stage(blocker):
     """A floor of 4 m with a red wall along one side; with `blocker` a sheet hangs over it. Returns the floor."""
     floor = white_plane(4.0, diffuse_material("floor", 0.6))
     red = shader_material("red", "ShaderNodeBsdfDiffuse", Color=(0.8, 0.3, 0.2, 1.0))
-    sheet("wall", [(2, -2, 0), (2, 2, 0), (2, 2, 2), (2, -2, 2)], red)
+    baking.quad("wall", [(2, -2, 0), (2, 2, 0), (2, 2, 2), (2, -2, 2)], red)
     if blocker:
-        sheet("blocker", [(-0.9, -0.4, 1), (0.1, -0.5, 1), (0.2, 0.5, 1), (-0.8, 0.5, 1)], red)
+        baking.quad("blocker", [(-0.9, -0.4, 1), (0.1, -0.5, 1), (0.2, 0.5, 1), (-0.8, 0.5, 1)], red)
     return floor
 
 
@@ -71,7 +61,7 @@ def light(case):
         floor = stage(True)
         lamp = shader_material("lamp", "ShaderNodeEmission", Color=(1.0, 0.8, 0.5, 1.0), Strength=12.0)
         # Its normal points up: Cycles emits from both sides.
-        sheet("lamp", [(-0.9, -0.3, 2), (0.1, -0.3, 2.2), (0.1, 0.7, 2.2), (-0.9, 0.7, 2)], lamp)
+        baking.quad("lamp", [(-0.9, -0.3, 2), (0.1, -0.3, 2.2), (0.1, 0.7, 2.2), (-0.9, 0.7, 2)], lamp)
     elif case == "world":
         floor = stage(True)
         world = bpy.context.scene.world = bpy.data.worlds.new("sky")
@@ -148,7 +138,7 @@ def slanted_edge():
     """(8,) irradiance by Cycles and by us of texels that the edge of a hard shadow crosses, each a little further along."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     floor = white_plane(8.0, diffuse_material("floor", 0.5))
-    sheet("edge", [(-9, -9 / 8 + 2.5, 1), (9, 9 / 8 + 2.5, 1), (9, 20, 1), (-9, 20, 1)], diffuse_material("edge", 0.5))
+    baking.quad("edge", [(-9, -9 / 8 + 2.5, 1), (9, 9 / 8 + 2.5, 1), (9, 20, 1), (-9, 20, 1)], diffuse_material("edge", 0.5))
     add_light("SUN", energy=1.0, angle=0.0)
     bpy.context.view_layer.update()
     baking.use_cycles(bpy.context.scene, 1)

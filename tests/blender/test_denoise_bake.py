@@ -16,24 +16,14 @@ from adjgi.tests import baking
 SIDE = 24
 
 
-def add(name: str, corners: list, material: bpy.types.Material) -> bpy.types.Object:
-    """A quad."""
-    mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
-    mesh.materials.append(material)
-    obj = bpy.data.objects.new(name, mesh)
-    bpy.context.scene.collection.objects.link(obj)
-    return obj
-
-
 @pytest.fixture
 def corner():
     """A floor beside a red wall below an area lamp."""
     red = bpy.data.materials.new("Red")
     red.use_nodes = True
     red.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.8, 0.1, 0.1, 1)
-    floor = add("Floor", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], red)
-    add("Wall", [(0, 0, 0), (0, 1, 0), (0, 1, 1), (0, 0, 1)], red)
+    floor = baking.quad("Floor", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], red)
+    baking.quad("Wall", [(0, 0, 0), (0, 1, 0), (0, 1, 1), (0, 0, 1)], red)
     lamp = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "AREA"))
     lamp.location, lamp.data.energy, lamp.data.size = (0.6, 0.5, 0.9), 10.0, 0.3
     bpy.context.scene.collection.objects.link(lamp)

@@ -14,7 +14,7 @@ import numpy as np
 from ..method.registry import MethodSpec, Nature
 from ..method.solution import Solution
 from .ground import Ground
-from .wavelets import smoothed, spread_out
+from .wavelets import known_error, smoothed, spread_out
 
 PARTS = ("direct", "indirect")
 CLEAN, NOISY = 0.02, 0.10  # relative standard errors between which a receiver's own value gives way to the smoothed one
@@ -66,11 +66,10 @@ def noisy_share(layer: NoisyLight, ground: Ground) -> np.ndarray:
     Of indirect light, which has no sharp edges, all get as much as their piece has noise: it comes from few bright samples, and where
     none has come by chance nothing tells of it.
     """
-    error = np.where(np.isfinite(layer.error), layer.error, _spread(layer, ground))
-    known = np.isfinite(error) & layer.valid
+    error = known_error(layer.values, layer.error, ground, layer.valid)
     # Few groups of samples tell little of the noise of one receiver: where they agree by chance it would stay as it is, as a spot.
     value = spread_out(layer.values.sum(axis=1, dtype=np.float64), ground, layer.valid, AROUND)
-    around = np.sqrt(spread_out(np.where(known, error, 0) ** 2, ground, known, AROUND))
+    around = np.sqrt(spread_out(error**2, ground, layer.valid, AROUND))
     if layer.name == "indirect":
         many = int(ground.piece.max(initial=0)) + 1
 
@@ -78,19 +77,10 @@ def noisy_share(layer: NoisyLight, ground: Ground) -> np.ndarray:
             sums, counts = np.bincount(ground.piece, values * of, many), np.bincount(ground.piece, of, many)
             return (sums / np.maximum(counts, 1))[ground.piece]
 
-        value, around = mean(value, layer.valid), np.sqrt(mean(around**2, known))
-    relative = np.where(known, around, np.inf) / np.maximum(value, 1e-30)
+        value, around = mean(value, layer.valid), np.sqrt(mean(around**2, layer.valid))
+    relative = around / np.maximum(value, 1e-30)
     share = np.clip((relative - CLEAN) / (NOISY - CLEAN), 0, 1)
     return np.where(layer.valid & (value > 0), share, 0)
-
-
-def _spread(layer: NoisyLight, ground: Ground) -> np.ndarray:
-    """(n,) float64 deviation of the values around each receiver: what there is to judge noise by where the error is not known."""
-    total = layer.values.sum(axis=1, dtype=np.float64)
-    mean, square = (spread_out(x, ground, layer.valid, AROUND) for x in (total, total**2))
-    # What is below the rounding of the difference is none.
-    spread = square - mean**2
-    return np.sqrt(np.where(spread > 1e-6 * square, spread, 0))
 
 
 def merged(layer: NoisyLight, smooth: np.ndarray, share: np.ndarray, ground: Ground) -> np.ndarray:

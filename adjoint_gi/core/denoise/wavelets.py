@@ -29,7 +29,7 @@ def smoothed(values: np.ndarray, error: np.ndarray, ground: Ground, valid: np.nd
     # Textures that are seen are divided out, so that they stay as sharp as they are.
     albedo = np.maximum(ground.albedo, DARK)
     values, error = values / albedo.astype(np.float64), error / albedo.mean(axis=1)
-    variance = spread_out(_known(values, error, ground, valid) ** 2, ground, valid)
+    variance = spread_out(known_error(values, error, ground, valid) ** 2, ground, valid)
     for level in range(ground.neighbours.levels):
         values, variance = _level(values, variance, ground, valid, level)
     return (values * albedo).astype(np.float32)
@@ -46,8 +46,8 @@ def spread_out(values: np.ndarray, ground: Ground, valid: np.ndarray, levels: in
     return total / np.maximum(many, 1e-12)
 
 
-def _known(values: np.ndarray, error: np.ndarray, ground: Ground, valid: np.ndarray) -> np.ndarray:
-    """`error` with an estimate where it is not known: how far a value is from the mean over its surroundings."""
+def known_error(values: np.ndarray, error: np.ndarray, ground: Ground, valid: np.ndarray) -> np.ndarray:
+    """(n,) `error` with an estimate where it is not known: how far a value of `values` (n, 3) is from the mean over its surroundings."""
     if np.isfinite(error[valid]).all():
         return np.where(valid, error, 0)
     value = values.sum(axis=1, dtype=np.float64)
