@@ -1454,6 +1454,13 @@ BUGS = (
         "yield rows[:0], np.zeros((3, 0), np.float32), 0",
         "tests/methods/test_straight_through.py -k behind_sheets",
     ),
+    Bug(
+        "what comes before the first sample is time of samples",
+        "adjoint_gi/core/comparison/effort.py",
+        "rate = (fraction - begun) / (trial.seconds - start)",
+        "rate = fraction / trial.seconds",
+        "tests/core/test_comparison.py -k no_time_of_samples",
+    ),
 )
 
 

@@ -415,3 +415,18 @@ def test_a_budget_of_rays_bounds_the_samples(methods, place):
     """Twice the steps that cast as many rays, as a power of two; time enough for many more."""
     *_, found = effort.with_effort(Counting(), *place, CountSettings(samples=40), Budget("rays", 5 * RAYS, 100.0))
     assert found.settings.samples == 16 and found.endless
+
+
+@pytest.mark.parametrize("before", (0, 20))
+def test_what_comes_before_the_first_sample_is_no_time_of_samples(place, before):
+    """A sample takes 8 ms, and 20 steps before them a second: 250 samples fit 2 s, and twice as many, as a power of two, are asked for."""
+
+    class Prepared(Counting):
+        def solve(self, world, receivers, settings, rng):
+            for _ in range(before):
+                time.sleep(0.05)
+                yield Step(0.0, "before", lambda: None)
+            yield from super().solve(world, receivers, settings, rng)
+
+    *_, found = effort.with_effort(Prepared(), *place, CountSettings(samples=40), Budget("time", 2.0))
+    assert found.settings.samples == 512 and found.endless
