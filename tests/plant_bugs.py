@@ -1461,6 +1461,20 @@ BUGS = (
         "rate = fraction / trial.seconds",
         "tests/core/test_comparison.py -k no_time_of_samples",
     ),
+    Bug(
+        "the larger side of a picture forgets the shape of its pixels",
+        "adjoint_gi/bridge/extract/camera.py",
+        '"HORIZONTAL" if aspect_x * width >= aspect_y * height',
+        '"HORIZONTAL" if width >= height',
+        "tests/blender/test_extract_camera.py -k projects",
+    ),
+    Bug(
+        "the emission pass of a transparent film keeps the background",
+        "adjoint_gi/bridge/engine/passes.py",
+        "radiance, emission = (np.where(alpha[:, None] > 0, np.maximum(x - behind, 0), 0) for x in (radiance, emission))",
+        "radiance = np.where(alpha[:, None] > 0, np.maximum(radiance - behind, 0), 0)",
+        "tests/blender/test_numbers_told.py -k transparent",
+    ),
 )
 
 

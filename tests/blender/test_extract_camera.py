@@ -45,17 +45,22 @@ def project(camera, point):
     return (x - left) / (right - left), (y - bottom) / (top - bottom)
 
 
+# The larger side of the last two is another one in pixels than in length.
+SIZES = (((640, 360), (1.0, 1.5)), ((300, 500), (1.0, 1.5)), ((400, 300), (1.0, 1.5)), ((300, 400), (1.5, 1.0)))
+
+
 @pytest.mark.parametrize(
-    ("kind", "fit", "size"), list(itertools.product(("PERSP", "ORTHO"), ("AUTO", "HORIZONTAL", "VERTICAL"), ((640, 360), (300, 500))))
+    ("kind", "fit", "size", "aspect"),
+    [(k, f, *s) for k, f, s in itertools.product(("PERSP", "ORTHO"), ("AUTO", "HORIZONTAL", "VERTICAL"), SIZES)],
 )
-def test_projects_like_blender(kind, fit, size):
+def test_projects_like_blender(kind, fit, size, aspect):
     camera = add_camera(
         type=kind, sensor_fit=fit, lens=35.0, sensor_width=30.0, sensor_height=20.0, ortho_scale=7.0, shift_x=0.13, shift_y=-0.2
     )
     camera.location, camera.rotation_euler, camera.scale = (1.0, -2.0, 0.5), (0.4, 0.2, 1.0), (2.0, 2.0, 2.0)
     render = bpy.context.scene.render
     render.resolution_x, render.resolution_y, render.resolution_percentage = *size, 50
-    render.pixel_aspect_x, render.pixel_aspect_y = 1.0, 1.5
+    render.pixel_aspect_x, render.pixel_aspect_y = aspect
     ours = extracted()
     assert (ours.width, ours.height) == (size[0] // 2, size[1] // 2)
     axes = camera.matrix_world.normalized()

@@ -74,10 +74,15 @@ def test_a_transparent_film_takes_out_as_much_of_the_background_as_is_seen():
     np.testing.assert_allclose(half, 0.5)
     zero, radiance = np.zeros((45, 3), np.float32), (geometry.alpha + 4 * (1 - geometry.alpha))[:, None] * np.ones(3, np.float32)
     seen = Solution("x", "radiance", radiance, zero, zero, zero, np.ones(45, np.float32))
-    combined = pixels(method("path_tracing").spec, seen, geometry, transparent=True)["Combined"].reshape(5, 9, 4)
+    made = pixels(method("path_tracing").spec, seen, geometry, transparent=True)
+    combined, emission = made["Combined"].reshape(5, 9, 4), made["Emission"].reshape(5, 9, 3)
     np.testing.assert_allclose(combined[:, :4], 1.0, rtol=1e-6)
     np.testing.assert_allclose(combined[:, 4], 0.5, rtol=1e-6)
     assert not combined[:, 5:].any()
+    np.testing.assert_array_equal(emission, combined[..., :3])  # of which all the light is here
+    opaque = pixels(method("path_tracing").spec, seen, geometry)
+    np.testing.assert_array_equal(opaque["Emission"], radiance)
+    np.testing.assert_array_equal(opaque["Combined"], np.concatenate([radiance, np.ones((45, 1), np.float32)], axis=1))
 
 
 def test_a_reference_gets_four_times_the_budget_where_no_time_is_given():
