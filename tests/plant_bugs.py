@@ -1475,6 +1475,27 @@ BUGS = (
         "radiance = np.where(alpha[:, None] > 0, np.maximum(radiance - behind, 0), 0)",
         "tests/blender/test_numbers_told.py -k transparent",
     ),
+    Bug(
+        "images keep alpha only where all of it is below 1",
+        "adjoint_gi/core/scene/texture.py",
+        "(flat[:, 3] != 1.0).any()",
+        "(flat[:, 3] != 1.0).all()",
+        "tests/core/test_texture.py -k one_texel_alone",
+    ),
+    Bug(
+        "bodies hover by a share of their larger width",
+        "adjoint_gi/core/receivers/inside.py",
+        "np.inf, extent).min(axis=1)",
+        "-np.inf, extent).max(axis=1)",
+        "tests/core/test_inside.py -k thickness",
+    ),
+    Bug(
+        "the near plane of a lens is a sphere",
+        "adjoint_gi/core/receivers/base.py",
+        "        origin = start + direction * (camera.clip_start / (direction @ f))[:, None]\n",
+        "        origin = start + direction * camera.clip_start\n",
+        "tests/core/test_film.py -k lens",
+    ),
 )
 
 

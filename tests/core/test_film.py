@@ -53,3 +53,27 @@ def test_the_fixed_rays_of_a_pixel_lie_evenly_about_its_middle(grid):
     for at, corner in ((x, -9), (z, -1)):
         assert sorted(set(np.round(at, 3))) == pytest.approx(corner + even, abs=1e-3)
     assert len(x) == grid**2
+
+
+@pytest.mark.parametrize("kind", ["perspective", "orthographic"])
+def test_rays_through_a_lens_begin_at_the_near_plane_and_meet_in_that_of_focus(kind):
+    """And pass the plane of the camera within its aperture, uniformly: the mean square of the radius is half of that of the rim."""
+    receivers = wall(18.0, clip_start=0.5, aperture_radius=0.4, focus_distance=1.7)
+    object.__setattr__(receivers.camera, "kind", kind)
+    n = 4000
+    pixel, offset = np.full(n, 7), np.full(n, 0.3)
+    origin, direction = receivers.lens_rays(pixel, offset, offset, np.random.default_rng(1).random((2, n), np.float32))
+    origin = origin + receivers.world.center
+    np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1, rtol=1e-6)
+    np.testing.assert_allclose(origin[:, 1], 0.5, atol=1e-5)
+
+    def across(depth):
+        """Where the rays pass the plane at a distance along the view, from where the sharp ray does."""
+        at, way = receivers.rays(pixel[:1], offset[:1], offset[:1])
+        at = at + receivers.world.center
+        points = [o + w * ((depth - o[:, 1]) / w[:, 1])[:, None] for o, w in ((origin, direction), (at, way))]
+        return points[0] - points[1]
+
+    np.testing.assert_allclose(across(1.7), 0, atol=1e-5)
+    square = (across(0.0) ** 2).sum(axis=1)
+    assert square.max() < 0.4**2 * 1.001 and square.mean() == pytest.approx(0.5 * 0.4**2, rel=0.05)

@@ -60,6 +60,16 @@ def test_points_below_a_wall_that_stands_on_the_floor(sunk, without):
     assert np.array_equal(inside, within(point, *WALL)) and inside.sum() == 160
 
 
+@pytest.mark.parametrize("along", ["x", "y"])
+@pytest.mark.parametrize(("gap", "inside"), [(0.006, 160), (0.012, 0), (0.05, 0)])
+def test_a_wall_hovers_by_a_share_of_its_thickness_and_not_of_its_length(along, gap, inside):
+    """Of 0.8 m, not of 8 m: light comes in below a wall that hovers by more."""
+    b = floor()
+    low, high = (np.array(c)[[0, 1, 2] if along == "y" else [1, 0, 2]] for c in WALL)
+    block(b, "Wall", low + (0, 0, gap), high)
+    assert found(b)[1].sum() == inside
+
+
 def test_several_bodies_and_round_ones():
     b = floor()
     block(b, "Wall", *WALL)

@@ -59,6 +59,16 @@ def test_compact_loses_nothing(grey, opaque, dtype, scale):
     np.testing.assert_array_equal(Texture("a", kept).pixels, pixels)
 
 
+@pytest.mark.parametrize("grey", [False, True])
+def test_compact_keeps_what_one_texel_alone_has(grey):
+    """Alpha, or colour, of a single texel of an image that is opaque, or grey, elsewhere."""
+    for channel in range(4):
+        pixels = np.ones((5, 3, 4), np.float32)
+        pixels[..., :3] = 0.25 if grey else (0.25, 0.5, 0.75)
+        pixels[2, 1, channel] = 0.125
+        np.testing.assert_array_equal(Texture("a", compact(pixels)).pixels, pixels)
+
+
 @pytest.mark.parametrize("size", [(64, 64), (61, 9), (1, 7)])
 def test_smaller_copies_are_box_means(size, monkeypatch):
     monkeypatch.setattr(textures, "BLOCK", 70)
