@@ -202,7 +202,22 @@ def text_in_a_hidden_collection():
     empty("instance", group)
 
 
+def hidden_collection_beside_an_excluded_one():
+    plane("shown")
+    closed, out = collection("closed"), collection("out")
+    out.objects.link(plane("a", closed))
+    closed.hide_render = True
+    bpy.context.view_layer.layer_collection.children["out"].exclude = True
+
+
+def excluded_collection_beside_a_shown_one():
+    shown, out = collection("open"), collection("out")
+    out.objects.link(plane("a", shown))
+    bpy.context.view_layer.layer_collection.children["out"].exclude = True
+
+
 DECIDED = [
+    hidden_collection_beside_an_excluded_one, excluded_collection_beside_a_shown_one,
     hidden_child_collection, hidden_collection, hidden_member_between_members, member_of_a_hidden_and_a_shown_collection,
     instances_within_instances, source_hidden_beside_its_host_in_a_collection, nodes_of_a_hidden_object, nodes_that_scatter_a_hidden_object,
     nodes_of_a_hidden_object_by_modifier, nodes_of_a_collection_with_a_hidden_object, nodes_of_a_collection_by_modifier,

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from contextlib import nullcontext
 from types import SimpleNamespace
 
@@ -24,6 +25,7 @@ from adjgi.adjoint_gi.core.method.solution import EnergyBalance, Solution
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Camera
 from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.operators.bake import ADJOINTGI_OT_bake
 from adjgi.tests import baking, hostile
 from adjgi.tests.cycles_patch import add_light, diffuse_material
 from adjgi.tests.exr_layers import read_exr
@@ -43,6 +45,13 @@ def test_the_panel_shows_the_mean_of_what_was_reached_and_the_fluxes_by_name(reg
     assert tuple(record.mean) == pytest.approx((3, 3, 3))
     assert (record.absorbed, record.escaped, record.unshot) == pytest.approx((5, 3, 1.5)) and record.gap == pytest.approx(0.05)
     assert (record.emitted, record.entering, record.seconds, record.rays) == (9, 7, 8, "400")
+
+
+def test_the_bake_operator_reports_time_rays_and_the_gap_in_percent(registered):
+    scene = bpy.context.scene
+    for found, words in ((solution(), ", energy gap 5 %"), (dataclasses.replace(solution(), balance=None), "")):
+        records.store(scene.adjoint_gi.result, found, target="texture", quantity="irradiance", applied=True)
+        assert ADJOINTGI_OT_bake.summary(None, scene) == f"Baked in 8.0 s with 400 rays{words}"
 
 
 def test_the_report_has_means_of_what_was_reached(registered):

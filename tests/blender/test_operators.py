@@ -152,6 +152,25 @@ def test_check_says_what_is_missing(scene):
     assert bpy.ops.adjoint_gi.bake.poll()
 
 
+def test_what_is_cleared_cannot_be_continued_or_written_any_more(registered, monkeypatch):
+    with fake_method(registered):
+        square()
+        state = bpy.context.scene.adjoint_gi
+        state.resolution, state.uv_layer = 8, "UVMap"
+        state.settings_fake.steps, state.settings_fake.pause = 400, 0.005
+        job = BAKES.start(bpy.context, properties.request_of(bpy.context.scene))
+        end = time.monotonic() + 20
+        while (job.preparing or job.driver.solution() is None) and time.monotonic() < end:
+            background.tick()
+            time.sleep(0.01)
+        assert not bpy.ops.adjoint_gi.clear_results.poll()
+        BAKES.stop()
+        assert bpy.ops.adjoint_gi.resume.poll() and state.result.partial
+        assert bpy.ops.adjoint_gi.clear_results() == {"FINISHED"}
+        assert not bpy.ops.adjoint_gi.resume.poll() and not bpy.ops.adjoint_gi.write.poll()
+        assert BAKES.job is None and state.result.method == ""
+
+
 def test_the_background_job_with_the_real_bake(registered, monkeypatch):
     """The image appears while it runs, a stop labels it as partial, and the end brings the full value."""
     monkeypatch.setattr(jobs.preferences, "refresh_seconds", lambda: 0.2)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the panels draw in each state, recorded by a stand-in for the layout that refuses whatever Blender would refuse."""
 
+import dataclasses
 import threading
 import time
 import types
@@ -14,7 +15,8 @@ from adjgi.adjoint_gi.bridge.props import properties, records
 from adjgi.adjoint_gi.core.base.errors import Notice
 from adjgi.adjoint_gi.core.flux.density import Given
 from adjgi.adjoint_gi.core.method import registry
-from adjgi.panels import draw, text, view3d
+from adjgi.adjoint_gi.core.method.solution import EnergyBalance
+from adjgi.panels import compare, draw, text, view3d
 from adjgi.tests.blender.fakes import Fake, FakeSettings, fake_method, square
 from adjgi.tests.blender.test_jobs import FakeBake
 
@@ -248,6 +250,32 @@ def test_result_shows_its_numbers(state):
     for word in ("3.00 billion", "10 W", "8 W", "1.9 W", "1 %", "Material Fake: is not real", "Partial result"):
         assert word in layout.words
     assert {"adjoint_gi.show_result", "adjoint_gi.restore", "adjoint_gi.clear_results"} == set(layout.names("operator"))
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_every_flux_stands_beside_its_name(state, known):
+    """Where the light goes is known to some methods only; what is emitted and what enters, to all."""
+    solution = next(Fake().solve(None, type("R", (), {"count": 3, "measure": "irradiance"}), FakeSettings(), None)).solution()
+    solution = dataclasses.replace(solution, balance=EnergyBalance(10.0, 7.0, 1.5, 1.25) if known else None)
+    records.store(state.result, solution, target="texture", quantity="direct", applied=True)
+    names = drawn(draw.result).names("label")
+    rows = {"Emitted": "10 W", "Entering": "9.5 W"}
+    where = {"Absorbed": "7 W", "Escaped": "1.5 W", "Not Yet Shot": "1.25 W", "Balance Gap": "2.5 %"}
+    for name, value in (rows | where if known else rows).items():
+        assert names[names.index(name) + 1] == value
+    assert known or not where.keys() & set(names)
+
+
+def test_a_comparison_shows_the_numbers_of_every_method(state):
+    row = bpy.context.scene.adjoint_gi_compare.result.rows.add()
+    row.label, row.state, row.seconds, row.rays, row.error, row.gathered, row.balance = "Some", "finished", 2.5, "1500", 0.125, 2.0, 0.015
+    plain = drawn(lambda layout, context: compare.method(layout, context, row, "W"))
+    assert plain.names("label")[:2] == ["Some", "12.5 %"]
+    assert "2.50 s, 1,500 rays, finished Flux 2 W" in plain.words and "gap" not in plain.words
+    row.has_gap, row.shot, row.gap, row.has_balance, row.error = True, 2.5, -0.2, True, -1.0
+    full = drawn(lambda layout, context: compare.method(layout, context, row, "W"))
+    assert full.names("label")[:2] == ["Some", "-"]
+    assert "Flux gathered 2 W, shot 2.5 W, gap -20 %; energy gap 1.5 %" in full.words
 
 
 def test_a_warning_above_the_button_is_not_repeated_below_the_numbers(state, monkeypatch):

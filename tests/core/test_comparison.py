@@ -7,6 +7,7 @@ import math
 import sys
 import time
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -352,6 +353,24 @@ def test_a_random_reference_knows_its_noise_and_shares_no_seed(methods, place, m
     assert result.entries[0].fluxes.shape == (3, len(result.groups.names))
 
 
+def test_a_reference_is_known_where_both_of_its_halves_are(methods, place, monkeypatch):
+    """Each half lacks another receiver: the mean of one value and none is no reference."""
+    seeds, n = [], place[1].count
+    solve = Counting.solve
+
+    def lacking(self, world, receivers, settings, rng):
+        seeds.append(settings.seed)
+        k = len(set(seeds)) - 2  # -1: the trial run
+        for step in solve(self, world, receivers, settings, rng):
+            found = step.solution()
+            found = replace(found, weight=found.weight * (np.arange(n) != k))
+            yield replace(step, solution=lambda found=found: found)
+
+    monkeypatch.setattr(Counting, "solve", lacking)
+    reference = compare(place, Plan(("exact",), Budget("time", 0.08), "counting", 0.2, repeats=0)).reference
+    np.testing.assert_array_equal(reference.valid, np.arange(n) >= 2)
+
+
 def test_a_stopped_comparison_keeps_what_it_has(methods, place):
     settings = {m: CountSettings(samples=5000) for m in ("counting", "exact")}
     plan = Plan(("exact", "counting"), Budget("time", 1.0), settings=settings, repeats=0)
@@ -403,6 +422,13 @@ def test_the_noise_of_a_reference_is_half_of_what_its_halves_differ_by(methods, 
     alike, apart = reference(False), reference(True)
     assert alike.noise == 0 and np.allclose(apart.values, 1)
     assert apart.noise == pytest.approx(np.abs(alike.values - 1).mean(), rel=0.05)
+
+
+def test_the_duality_gap_is_a_share_of_what_is_shot_and_above_zero_where_more_is_gathered():
+    entry = SimpleNamespace(complete=True, lengths=(1, 9))
+    result = SimpleNamespace(shot=(2.0, 0.1), lengths=(1, 9), gathered=lambda entry: 2.5)
+    assert page.gap_of(result, entry) == pytest.approx(0.25)
+    assert page.gap_of(result, SimpleNamespace(complete=True, lengths=(0, 9))) is None
 
 
 def test_repeats_share_what_is_left_after_the_first_pass():

@@ -26,9 +26,9 @@ CASES = {
 }
 
 
-def answer_at(receivers, elements, direct, indirect):
+def answer_at(receivers, elements, direct, indirect, min_length=0):
     """`ElementAnswer` in one call, for a result that is wanted once."""
-    answer = ElementAnswer(elements, receivers)
+    answer = ElementAnswer(elements, receivers, min_length=min_length)
     for _ in answer.prepare():
         pass
     return answer.parts(direct, indirect)
@@ -266,6 +266,18 @@ def test_answers_for_a_camera():
     assert np.allclose(parts.emitted[~left], [0.25, 0.5, 1.0])
     assert not parts.direct[~left].any() and not parts.albedo[~left].any()
     assert (parts.weight == 1).all()
+
+
+@pytest.mark.parametrize("shortest", [0, 1])
+def test_emission_is_in_no_part_of_an_answer_that_does_not_count_it(shortest):
+    world = World(camera_scene().build())
+    elements, light = Elements(world, 1.0), np.ones((2, 3))  # of the floor, whose back is not seen
+    for receivers in (CameraReceivers(world), SurfaceReceivers("texels", [0, 1], [0], [0.2], [0.2]), ElementReceivers(elements)):
+        parts = answer_at(receivers, elements, light, light, shortest)
+        assert parts.emitted.any() == (shortest == 0)
+        if receivers.kind == "camera":
+            albedo = np.array([0.5, 0.25, 0.125])
+            np.testing.assert_allclose(parts.extra["elements"][0], (shortest == 0) * np.pi * 0.5 + 2 * albedo, rtol=1e-6)
 
 
 def test_a_lamp_with_a_size_is_seen_by_the_camera():

@@ -1,5 +1,7 @@
 """The walks that gather and that shoot: strategies agree, what paths carry stays with them, and emission is shared out once."""
 
+import math
+
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
@@ -7,7 +9,7 @@ from adjgi.adjoint_gi.core.flux.detectors import CameraDetector
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights import direct
 from adjgi.adjoint_gi.core.lights.direct import INF, LEAST
-from adjgi.adjoint_gi.core.lights.emission import Emission
+from adjgi.adjoint_gi.core.lights.emission import Emission, Particles
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.sampling.maps import PI, columns
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material, RayKind
@@ -153,6 +155,43 @@ def test_what_bent_normals_add_is_in_the_balance():
     assert abs(ends.gained) > 1e-3 * ends.emitted_energy and ends.cut_energy > 0
     accounted = ends.absorbed_energy + ends.escaped_energy + ends.cut_energy
     assert ends.emitted_energy + ends.gained == pytest.approx(accounted, rel=1e-5)
+
+
+def bent_sheet(material, lean):
+    """A flat sheet about the origin whose shading normals lean by an angle towards +x."""
+    b = SceneBuilder()
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
+    normal = (math.sin(lean), 0, math.cos(lean))
+    b.mesh("Sheet", corners, [[0, 1, 2], [0, 2, 3]], material, smooth_normals=np.tile(normal, (4, 1)))
+    return World(b.build())
+
+
+@pytest.mark.parametrize("lobe", ["diffuse", "glossy"])
+def test_white_surfaces_with_bent_normals_absorb_nothing(lobe):
+    """Light at 40 degrees is measured, and leaves a mirror at 20, by other cosines than it has: what they add is `gained`, all of it."""
+    world = bent_sheet(Material("White", (Lobe(lobe, Color.of(1.0), 0.0),)), math.radians(10))
+    n, angle = 1000, math.radians(40)
+    way = np.tile(np.float32([-math.sin(angle), 0, -math.cos(angle)]), (n, 1))
+    start = Particles(-way, way, np.ones((n, 3), np.float32), np.zeros(n, np.int32), np.zeros(n, np.float32))
+    table = None if lobe == "diffuse" else BsdfTable(world.scene)
+    ends = particle_walk(world, start, 5, np.random.default_rng(1), lambda hits: None, table)
+    # Of a mirror: the cosine of the reflected direction over that of the arriving one. The diffuse lobe leaves as a flat one does.
+    cosine = math.cos(math.radians(20 if lobe == "glossy" else 30)) / math.cos(angle)
+    assert ends.gained == pytest.approx(3 * n * (cosine - 1), rel=1e-4)
+    assert ends.absorbed_energy == pytest.approx(0, abs=1e-3 * n) and ends.escaped == n
+
+
+@pytest.mark.parametrize("table", [False, True])
+def test_importance_leaves_bent_normals_only_above_the_surface(table):
+    """As on a path of radiance: what would go below a sheet is lost, and does not meet it again."""
+    world, lengths, n = bent_sheet(diffuse("White", 1.0), math.radians(45)), [], 2000
+    way = np.tile(np.float32([0, 0, -1]), (n, 1))
+    start = Particles(-way, way, np.ones((n, 3), np.float32), np.zeros(n, np.int32), np.zeros(n, np.float32))
+    lobes = BsdfTable(world.scene) if table else None
+    ends = particle_walk(world, start, 5, np.random.default_rng(1), lambda hits: lengths.append((hits.length, len(hits.row))), lobes, True)
+    assert [k for length, k in lengths if length > 1 and k] == []
+    # Of directions by the cosine about a normal at 45 degrees (1 - cos 45) / 2 lie below.
+    assert ends.escaped / n == pytest.approx(1 - 0.5 * (1 - math.sqrt(0.5)), abs=0.03)
 
 
 def test_light_from_far_away_that_misses_the_scene_is_no_light_of_it():

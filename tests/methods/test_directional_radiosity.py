@@ -83,6 +83,10 @@ def test_one_furnace_with_every_bounce(strategy):
     assert np.allclose(s.indirect[0::2], 1.0, rtol=1e-6)
     s = solve(receivers, min_length=3, max_length=4, strategy=strategy)
     assert np.allclose(s.quantity("irradiance")[0::2], 0.375, rtol=1e-6)
+    for shortest, want in ((3, 0.5), (4, 0.25)):
+        for solver in ("jacobi", "gauss_seidel"):
+            s = solve(receivers, min_length=shortest, strategy=strategy, solver=solver)
+            assert np.allclose(s.quantity("irradiance")[0::2], want, rtol=1e-6)
 
 
 @pytest.mark.parametrize("bins", [(1, 1), (2, 6), (4, 8)])

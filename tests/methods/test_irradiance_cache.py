@@ -12,6 +12,7 @@ from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
 from adjgi.adjoint_gi.core.sampling.maps import frame_rows
+from adjgi.adjoint_gi.core.scene.arrays import Light
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.irradiance_records import RecordIndex, Records, gradients, hemisphere
 from adjgi.adjoint_gi.core.walks.paths import Walk
@@ -262,3 +263,15 @@ def test_rays_that_meet_nothing_see_far():
     assert records.radius[0] == pytest.approx(2 * world.extent)
     local, _ = hemisphere(state.rows, state.cols, np.random.default_rng(0), 1)
     assert (state._look(surface, local, *frame_rows(surface.ns), np.random.default_rng(0))[1] == 4 * world.extent).all()
+
+
+@pytest.mark.parametrize("name", ["irradiance_cache", "path_tracing", "distribution"])
+def test_a_flat_sheet_with_bent_normals_gives_itself_no_light(name):
+    """Its shading normals lean by 45 degrees: rays below the sheet itself bring nothing, though they would meet its lit front."""
+    b, lean = SceneBuilder(), np.sqrt(0.5)
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+    b.mesh("Sheet", corners, [[0, 1, 2], [0, 2, 3]], diffuse("White", 0.8), smooth_normals=np.tile([lean, 0, lean], (4, 1)))
+    b.light(Light("Sun", "sun", (3.0, 3.0, 3.0)))
+    out = solving.solve(name, World(b.build()), quad_points(*grid(6)))
+    assert not out.indirect.any()
+    assert out.direct == pytest.approx(3 * lean, rel=1e-4)

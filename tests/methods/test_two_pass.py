@@ -209,3 +209,12 @@ def test_no_step_is_long_and_memory_grows_with_rays():
     world = World(scenes.cornell(4, 4))
     few, many = (solver.memory(world, CameraReceivers(world), solver.Settings(rays=rays)) for rays in (64, 128))
     assert many > few
+
+
+def test_paths_of_a_least_length_by_way_of_a_mirror_and_a_diffuse_surface_that_are_sampled():
+    """The first pass knows its light by length as far as the second one asks: two segments before a receiver that is sampled, too."""
+    world, receivers = World(mirror_cube()), solving.quad_points(*solving.grid(3), first=4)
+    exact = solving.solve("path_tracing", world, receivers, samples=512, min_length=3).indirect.mean()
+    options = {"samples": 256, "rays": 256, "max_edge": 0.5, "particles": 0, "direct_light": "elements"}
+    found = solve(world, receivers, gather=True, min_length=3, **options)
+    assert found.indirect.mean() == pytest.approx(exact, rel=0.05)  # elements of 0.5 m; one length too few takes 14 %
