@@ -1587,6 +1587,20 @@ BUGS = (
         "return None if not known else 1 - shot[0] / result.gathered(entry)",
         "tests/core/test_comparison.py -k duality_gap_is",
     ),
+    Bug(
+        "links that are muted count",
+        "adjoint_gi/bridge/extract/nodes.py",
+        "if not li.is_muted and li.is_valid",
+        "if li.is_valid",
+        "tests/blender/test_extract_links.py -k muted",
+    ),
+    Bug(
+        "of two outputs of a group the first one counts",
+        "adjoint_gi/bridge/extract/nodes.py",
+        "next((n for n in ends if n.is_active_output), ends[0] if ends else None)",
+        "next(iter(ends), None)",
+        "tests/blender/test_extract_links.py -k active",
+    ),
 )
 
 
