@@ -132,6 +132,21 @@ def test_atlas_gives_each_object_its_own_place():
             assert digest(floor) == before and list(targets.link(wall, "irradiance")["offset"]) == [0, 0]
 
 
+def test_objects_of_an_atlas_show_it_by_their_own_layers_whatever_these_are_called():
+    scene = demo.build_cornell()
+    with bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
+        meshes = [o for o in scene.objects if o.type == "MESH"]
+        made, _ = finish(request(atlas=True, values={"samples": 1}))
+        for k, obj in enumerate(meshes):
+            layer = obj.data.uv_layers[obj.data[STORED]]
+            layer.name = obj.data[STORED] = f"Mine {k}"
+        made, _ = finish(request(atlas=True, values={"samples": 1}))
+        assert len(made.writer.sheets) == 1
+        for obj in meshes:
+            assert targets.link(obj, "irradiance")["uv_layer"] == obj.data[STORED] != ""
+        assert len({targets.link(obj, "irradiance")["uv_layer"] for obj in meshes}) == len(meshes)
+
+
 def test_objects_with_a_layer_from_before_get_a_new_one_in_the_atlas():
     scene = demo.build_cornell()
     with bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0]):

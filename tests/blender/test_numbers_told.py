@@ -16,6 +16,7 @@ from adjgi.adjoint_gi.bridge.comparison import cycles_reference
 from adjgi.adjoint_gi.bridge.comparison.records import request_of
 from adjgi.adjoint_gi.bridge.comparison.request import SHOWN, Compare, CompareRequest, ReferenceChoice
 from adjgi.adjoint_gi.bridge.engine.passes import FAR, Geometry, pixels
+from adjgi.adjoint_gi.bridge.engine.pictures import exposure
 from adjgi.adjoint_gi.bridge.props import records
 from adjgi.adjoint_gi.core.comparison import figures
 from adjgi.adjoint_gi.core.comparison.budget import Budget, Reference
@@ -92,6 +93,17 @@ def test_a_transparent_film_takes_out_as_much_of_the_background_as_is_seen():
     opaque = pixels(method("path_tracing").spec, seen, geometry)
     np.testing.assert_array_equal(opaque["Emission"], radiance)
     np.testing.assert_array_equal(opaque["Combined"], np.concatenate([radiance, np.ones((45, 1), np.float32)], axis=1))
+
+
+@pytest.mark.parametrize("bright", [1e-3, 0.2, 0.26, 0.99, 1.01, 2.0, 700.0])
+def test_pictures_are_exposed_by_whole_stops_until_what_is_bright_is_below_one(bright):
+    """What is bright is less than all but a twentieth of what is lit, however much is black."""
+    grey = np.concatenate([np.zeros(900), np.full(94, bright), np.full(4, 100 * bright)])
+    factor = exposure(np.repeat(grey[:, None], 3, axis=1))
+    assert np.log2(factor) == np.round(np.log2(factor))
+    assert factor == 1 if 0.25 <= bright <= 1 else 0.5 <= bright * factor <= 1
+    assert exposure(np.zeros((3, 3))) == 1
+    assert exposure(np.float32([[0, 0, 2]])) == 4, "blue is dark: its luminance is 0.14"
 
 
 def test_a_reference_gets_four_times_the_budget_where_no_time_is_given():
