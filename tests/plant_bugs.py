@@ -1622,6 +1622,27 @@ BUGS = (
         "float(2.0 ** -np.floor(np.log2(bright)))",
         "tests/blender/test_numbers_told.py -k exposed",
     ),
+    Bug(
+        "area lamps are picked as if they shone within 60 degrees",
+        "adjoint_gi/core/lights/lamps.py",
+        'else 0.0 if x.kind == "area" else -1.0 for x in lights]',
+        'else 0.5 if x.kind == "area" else -1.0 for x in lights]',
+        "tests/core/test_places.py -k gives_much",
+    ),
+    Bug(
+        "spots scaled wide are picked as if they were narrow",
+        "adjoint_gi/core/lights/lamps.py",
+        "* max(*light.spot_scale, 1e-6)))",
+        "* min(*light.spot_scale, 1e6)))",
+        "tests/core/test_places.py -k gives_much",
+    ),
+    Bug(
+        "a comparison of ten minutes ends at the limit of one",
+        "adjoint_gi/bridge/comparison/records.py",
+        "limit = max(state.limit, state.seconds) if",
+        "limit = state.limit if",
+        "tests/blender/test_numbers_told.py -k equal_time",
+    ),
 )
 
 

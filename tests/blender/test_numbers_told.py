@@ -112,6 +112,14 @@ def test_a_reference_gets_four_times_the_budget_where_no_time_is_given():
     assert CompareRequest(methods, budget, ReferenceChoice("method", "path_tracing", 7.0)).plan().reference_seconds == 7
 
 
+@pytest.mark.parametrize(("kind", "seconds"), [("time", 600), ("rays", 60), ("error", 60)])
+def test_an_equal_time_is_not_cut_by_the_limit_of_other_budgets(registered, kind, seconds):
+    state = bpy.context.scene.adjoint_gi_compare
+    state.budget, state.seconds, state.limit, state.reference = kind, 600.0, 60.0, "constant"
+    budget = request_of(bpy.context.scene, bpy.context.view_layer).budget
+    assert (budget.kind, budget.seconds) == (kind, seconds)
+
+
 def test_lightmaps_stand_in_reading_order():
     sheets = [SimpleNamespace(part=slice(k, k + 1), lightmap=SimpleNamespace(image=lambda v: np.full((4, 4, 1), v[0]))) for k in range(3)]
     compare = SimpleNamespace(request=SimpleNamespace(receivers="texture"), sheets=sheets)

@@ -95,3 +95,35 @@ def test_a_lamp_next_door_is_picked_most():
 
 def test_few_emitters_are_picked_by_power_alone():
     assert Emitters(World(street(("point",), n=3).build()))._all.places is None
+
+
+def test_what_gives_much_at_a_place_is_picked_there_often():
+    """Whatever shape its light has, by lamps that look any way: of its share in what arrives all but a twentieth have 7 % at least.
+
+    Elliptic cones are taken for round ones around them, so other lamps give way to them where they do not shine.
+    """
+    b, rng = SceneBuilder(), np.random.default_rng(3)
+    b.box("Room", (0, 0, 0), (8, 2, 2), diffuse("Grey", 0.5), inward=True)
+    for i in range(24):
+        z = rng.normal(size=3)
+        z /= np.linalg.norm(z)
+        x = np.cross(z, (0.3, 0.5, 0.8))
+        x /= np.linalg.norm(x)
+        axes = {f"axis_{name}": tuple(v.tolist()) for name, v in (("x", x), ("y", np.cross(z, x)), ("z", z))}
+        place = tuple((rng.random(3) * (8, 2, 2)).tolist())
+        if i % 2:
+            spot = {"spot_angle": 1.0, "spot_blend": 0.2, "spot_scale": ((3.0, 1.0), (1.0, 4.0), (1.0, 1.0))[i % 3]}
+            b.light(Light(f"S{i}", "spot", (2.0, 1.0, 1.0), place, **axes, **spot))
+        else:
+            b.light(Light(f"A{i}", "area", (9.0, 5.0, 1.0), place, **axes, size_x=0.4, size_y=0.2))
+    world = World(b.build())
+    emitters, count = Emitters(world), 600
+    p = np.ascontiguousarray((rng.random((count, 3)) * (8, 2, 2) - world.center).T, np.float32)
+    given = []
+    for lamp in range(emitters.lamps.count):
+        points = [emitters.draw_from(lamp, p, u, v) for u, v in rng.random((16, 2))]
+        given.append(np.mean([s.radiance.sum(axis=0) / s.pdf_w for s in points], axis=0))
+    share = np.array(given) / np.sum(given, axis=0)
+    chance = np.array([emitters._all.chance(p, np.full(count, lamp)) for lamp in range(emitters.lamps.count)])
+    much = share > 0.1
+    assert much.sum() > count and np.percentile(chance[much] / share[much], 5) > 0.07
