@@ -1643,6 +1643,13 @@ BUGS = (
         "limit = state.limit if",
         "tests/blender/test_numbers_told.py -k equal_time",
     ),
+    Bug(
+        "a border of the picture shows another part of the view",
+        "adjoint_gi/bridge/engine/render_engine.py",
+        "y = bottom + (top - bottom) * np.array(part[2:]) / camera.height",
+        "y = top + (bottom - top) * np.array(part[2:]) / camera.height",
+        "tests/blender/test_engine.py -k region",
+    ),
 )
 
 

@@ -100,7 +100,11 @@ def test_percentage_of_the_resolution(scene, tmp_path):
 
 @pytest.mark.parametrize("crop", [True, False])
 def test_render_region(scene, tmp_path, crop):
+    bpy.data.objects["Square"].location = (0.4, 0.3, 0)
     whole = rendered(scene, tmp_path / "whole.exr")["Depth"]
+    # Above and to the right of the middle, so the square reaches the upper end of the picture, and not the lower one.
+    assert whole[0, WIDTH // 2] < FAR and whole[-1, WIDTH // 2] == np.float32(FAR)
+    assert whole[HEIGHT // 2, 34] < FAR and whole[HEIGHT // 2, WIDTH - 1 - 34] == np.float32(FAR)
     scene.render.use_border, scene.render.use_crop_to_border = True, crop
     scene.render.border_min_x, scene.render.border_max_x = 0.1, 0.5
     scene.render.border_min_y, scene.render.border_max_y = 0.2, 0.95
