@@ -1650,6 +1650,13 @@ BUGS = (
         "y = top + (bottom - top) * np.array(part[2:]) / camera.height",
         "tests/blender/test_engine.py -k region",
     ),
+    Bug(
+        "ambient estimates spread what the longest path has cut off",
+        "adjoint_gi/core/radiosity/southwell.py",
+        "return (self.remaining() - self.cut) * stays",
+        "return self.remaining() * stays",
+        "tests/core/test_southwell.py -k cuts_off",
+    ),
 )
 
 

@@ -115,6 +115,14 @@ def test_the_ambient_estimate_is_that_of_a_scene_which_loses_the_share_that_shot
     assert np.isclose(s.indirect.mean() - before, rho * stays * stays / 2 / (1 - rho * stays), rtol=1e-12)
 
 
+def test_what_the_longest_path_cuts_off_is_no_light_to_come():
+    s = state(high=2)
+    for _ in Southwell(s, Grouping(1, 1 << 20), 1e-14).run():
+        assert (s.ambient() >= 0).all()
+    assert (s.cut > 0.01 * s.emitted).all() and not s.ambient().any()
+    assert s.remaining() == pytest.approx(s.cut)
+
+
 def test_nothing_to_shoot_ends_at_once():
     shooting = Southwell(state((0.0, 0.0, 0.0)), Grouping(1, 1 << 20), 1e-3)
     assert list(shooting.run()) == [] and not shooting.unfinished and shooting.share == 0
