@@ -24,7 +24,7 @@ if "adjgi" not in sys.modules:
     spec = importlib.util.spec_from_file_location("adjgi", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
     sys.modules["adjgi"] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(sys.modules["adjgi"])
-from adjgi.adjoint_gi.bridge.results.faces import read_faces  # noqa: E402
+from adjgi.adjoint_gi.bridge.results.faces import copy_faces  # noqa: E402
 from adjgi.adjoint_gi.core.receivers.charts import area_vectors  # noqa: E402
 from adjgi.adjoint_gi.core.receivers.pack import place_objects  # noqa: E402
 from adjgi.adjoint_gi.core.receivers.unwrap import by_projection, unwrap  # noqa: E402
@@ -47,7 +47,7 @@ def add(shape: str, scale=(1.0, 1.0, 1.0)):
     obj = bpy.context.view_layer.objects.active
     obj.scale = scale
     bpy.context.view_layer.update()
-    return read_faces(obj).mesh
+    return copy_faces(obj, obj.data).faces().mesh
 
 
 def boxes():
@@ -67,13 +67,14 @@ def level(path: Path):
     obj = next(o for o in bpy.data.objects if o.type == "MESH")
     bpy.context.view_layer.objects.active = obj
     bpy.ops.object.mode_set(mode="OBJECT")  # the file was saved in edit mode
-    return [read_faces(obj).mesh]
+    return [copy_faces(obj, obj.data).faces().mesh]
 
 
 def torus():
     """The torus of the tests."""
     bpy.ops.mesh.primitive_torus_add(major_segments=64, minor_segments=32)
-    return [read_faces(bpy.context.view_layer.objects.active).mesh]
+    obj = bpy.context.view_layer.objects.active
+    return [copy_faces(obj, obj.data).faces().mesh]
 
 
 def before(meshes, resolution: int) -> np.ndarray:

@@ -1036,9 +1036,9 @@ BUGS = (
     ),
     Bug(
         "images lie on the lightmap layer where there is no other",
-        "adjoint_gi/bridge/extract/instances.py",
-        'return replace(arrays, render_uv="") if arrays.render_uv in ours else arrays',
-        "return arrays",
+        "adjoint_gi/bridge/extract/mesh.py",
+        'render_uv="" if got["render_uv"] in self._ours else got["render_uv"],',
+        'render_uv=got["render_uv"],',
         "tests/blender/test_write_lightmap_uv.py -k layer_of_ours",
     ),
     Bug(

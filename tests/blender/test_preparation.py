@@ -14,9 +14,10 @@ from adjgi.adjoint_gi.bridge.baking import bake as baking
 from adjgi.adjoint_gi.bridge.baking import preflight, textures
 from adjgi.adjoint_gi.bridge.baking.bake import Bake
 from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
-from adjgi.adjoint_gi.bridge.extract import depsgraph
+from adjgi.adjoint_gi.bridge.extract import depsgraph, mesh
 from adjgi.adjoint_gi.bridge.host import background
 from adjgi.adjoint_gi.bridge.host.preparation import Aside, Preparation, finish_stages, once
+from adjgi.adjoint_gi.bridge.results import faces
 from adjgi.adjoint_gi.bridge.results.lightmap_uv import own_layer
 from adjgi.adjoint_gi.core.base.errors import AdjointError, TargetError
 from adjgi.tests.baking import request
@@ -248,11 +249,19 @@ def test_loading_a_file_ends_a_preparation(held):
 
 
 def test_all_that_needs_no_blender_runs_aside(scene, monkeypatch):
-    """Placing and the tree of rays twice, for layers are made; checks once; texels of two objects."""
+    """Placing and the tree of rays twice, for layers are made, and two meshes each time; two plans; checks once; texels of two objects."""
     threads = []
-    for where, name in ((depsgraph, "place"), (baking, "World"), (preflight.openness, "notices"), (textures, "rasterize")):
+    for where, name in (
+        (depsgraph, "place"),
+        (mesh, "_usable"),
+        (mesh, "_normals"),
+        (faces, "Mesh"),
+        (baking, "World"),
+        (preflight.openness, "notices"),
+        (textures, "rasterize"),
+    ):
         made = getattr(where, name)
         monkeypatch.setattr(where, name, lambda *a, made=made, **k: threads.append(threading.current_thread()) or made(*a, **k))
     job = BAKES.start(bpy.context, request(values={"samples": 1}, resolution=8))
     until(lambda: not job.active)
-    assert len(threads) == 2 + 2 + 1 + 2 and threading.main_thread() not in threads
+    assert len(threads) == 2 + 4 + 4 + 2 + 2 + 1 + 2 and threading.main_thread() not in threads

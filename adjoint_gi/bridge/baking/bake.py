@@ -245,6 +245,6 @@ def _extracting(request: BakeRequest, real: Real) -> Stages[tuple[SceneArrays, C
     context = bpy.context
     same = unchanged()
     size = picture_size(context.scene, request)
-    arrays = yield from extracting(context.evaluated_depsgraph_get(), context.scene, size, real.objects)
+    arrays = yield from extracting(size, real.objects)
     same()
     return arrays, same

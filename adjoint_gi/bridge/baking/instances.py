@@ -150,7 +150,12 @@ class _Walk(InstanceWalk):
         told = [Notice(n, text.format(len(s), "s" * (len(s) > 1), listed(list(dict.fromkeys(s)))), "", "info") for n, s in of.items()]
         return told + [Notice(n, f"{e.notice.reason}; its instances are not baked", e.notice.remedy) for n, e in self._locked.items()]
 
-    def _visit_mesh(self, inst: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, original: bpy.types.Object) -> None:
+    def _visit_mesh(self, inst: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, original: bpy.types.Object, over: object) -> bool:
+        """Note what is met, all at once: see `run`."""
+        self._note(inst, obj, original)
+        return True
+
+    def _note(self, inst: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, original: bpy.types.Object) -> None:
         name, _, ids = self._identify(inst, original)
         matrix = inst.matrix_world.copy()
         if is_flat([x for row in matrix for x in row]) or not obj.data.polygons:

@@ -67,7 +67,7 @@ def preflighting(context: bpy.types.Context, request: BakeRequest, thorough: boo
         yield "Reading the scene"
         same()
         size = picture_size(context.scene, request)
-        arrays = yield from extracting(context.evaluated_depsgraph_get(), context.scene, size)
+        arrays = yield from extracting(size)
     finally:
         return_images()
     world = yield Aside("Building the tree of rays", once(lambda: World(arrays)))

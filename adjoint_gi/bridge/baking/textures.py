@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,18 +30,20 @@ from ...core.scene.world import World
 from ..engine.pictures import exposure
 from ..extract.depsgraph import extract
 from ..host import files
-from ..host.preparation import Aside, Stages, finish_stages, once
+from ..host.preparation import SLICE, Aside, Stages, finish_stages, once
 from ..props.request import BakeRequest, raise_first
 from ..results import links, preview
 from ..results.image import linked_image, write_image
 from ..results.lightmap_uv import (
+    PlanCopy,
     UvPlan,
     check_uv_layer,
+    copy_for_plan,
     find_uv_layer,
     in_one_square,
     notices,
     own_layer,
-    read_plan,
+    plan_of,
     shares_square,
     write_plan,
 )
@@ -76,6 +80,16 @@ class Sheet:
         """What each object of `group` (indices) got of the image."""
         receivers = self.lightmap.receivers
         return given(world, group, receivers.triangle[receivers.start[:-1]])
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """New layers for objects that share a square: `uvs` of all corners of each, texels a side, and what there is to say."""
+
+    unwrapped: Unwrapped
+    uvs: list[np.ndarray]
+    side: int
+    notices: list[Notice]
 
 
 class TextureWriter(Writer):
@@ -215,24 +229,34 @@ def _preparing(request: BakeRequest, world: World, indices: list[int], same: Cal
     objects = find_objects(tuple(world.scene.objects[i].uid for i in indices), "An object")
     with unhidden(bpy.context.view_layer):
         groups, why = _to_unwrap(objects, request, bpy.context.evaluated_depsgraph_get())
-        if not groups:
-            return None
-        plans = [read_plan(group) for group in groups]
+    if not groups:
+        return None
     place = {obj: k for k, obj in enumerate(objects)}
     parts = [[place[obj] for obj in group] for group in groups]
     names, uids = [obj.name for obj in objects], [obj.session_uid for obj in objects]
     sides = np.broadcast_to(resolutions(world, indices, request), len(objects))
     factors = np.array([multiplier(obj) for obj in objects])
+    copies = yield from _copying([uids[i] for part in parts for i in part], same)
+
+    def planning() -> Steps[list[UvPlan]]:
+        out, rest = [], iter(copies)
+        for k, part in enumerate(parts):
+            out.append(plan_of((), list(itertools.islice(rest, len(part)))))
+            yield (k + 1) / len(parts)
+        return out
+
+    plans = yield Aside("Reading the faces", planning())
 
     # Step 2: what is seen of them, and unwrapping, aside.
     density = yield Aside("Looking from the camera and inside", once(lambda: _densities(world, indices, factors, request)))
 
-    def unwrapping() -> Steps[list[tuple[Unwrapped, int, list[Notice]]]]:
+    def unwrapping() -> Steps[list[Made]]:
         out = []
         for k, (part, plan) in enumerate(zip(parts, plans, strict=True)):
             own = [names[i] for i in part]
             steps = unwrapping_to_density(own, factors[part], plan.faces, request, int(sides[part[0]]), density[part])
-            out.append((yield from within(steps, k / len(parts), (k + 1) / len(parts))))
+            found, side, told = yield from within(steps, k / len(parts), (k + 1) / len(parts))
+            out.append(Made(found, plan.spread(found), side, told))
         return out
 
     unwrapped = yield Aside("Unwrapping", unwrapping())
@@ -246,6 +270,22 @@ def _preparing(request: BakeRequest, world: World, indices: list[int], same: Cal
     made.notices[:0] = why
     bpy.context.view_layer.update()
     return made
+
+
+def _copying(uids: list[int], same: Callable[[], None]) -> Stages[list[PlanCopy]]:
+    """Copy the meshes of the objects of these session_uids, in slices; `same` raises when they are not as they were."""
+    copies: list[PlanCopy] = []
+    while len(copies) < len(uids):
+        objects, end = find_objects(tuple(uids[len(copies) :]), "Object"), time.monotonic() + SLICE
+        with unhidden(bpy.context.view_layer):
+            for obj in objects:
+                copies.append(copy_for_plan(obj, bpy.context.view_layer))
+                if time.monotonic() > end:
+                    break
+        if len(copies) < len(uids):
+            yield "Reading the faces"
+            same()
+    return copies
 
 
 def _object(world: World, index: int) -> bpy.types.Object:
@@ -268,14 +308,14 @@ def _to_unwrap(
     return [] if together else [objects], told
 
 
-def _write_layers(plans: list[UvPlan], unwrapped: list[tuple[Unwrapped, int, list[Notice]]], request: BakeRequest) -> Prepared:
+def _write_layers(plans: list[UvPlan], unwrapped: list[Made], request: BakeRequest) -> Prepared:
     """Give all objects of `plans` their layers, or none."""
     made = Prepared([])
     try:
-        for plan, (result, side, told) in zip(plans, unwrapped, strict=True):
-            made.undo.callback(write_plan(plan, result))
-            note(plan.objects, request, side)
-            made.notices += [*notices(plan.objects, result), *told]
+        for plan, new in zip(plans, unwrapped, strict=True):
+            made.undo.callback(write_plan(plan, new.unwrapped, new.uvs))
+            note(plan.objects, request, new.side)
+            made.notices += [*notices(plan.objects, new.unwrapped), *new.notices]
     except AdjointError:
         made.undo.close()
         raise

@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 
 from ...core.base.errors import AdjointError, Notice
+from ..host.meshes import corner_vertices, positions
 from ..results.lightmap_uv import layer_values
 
 
@@ -94,8 +95,4 @@ def _counts(mesh: bpy.types.Mesh) -> tuple[int, int, int]:
 
 def _shape(mesh: bpy.types.Mesh) -> int:
     """Checksum of vertex positions and of the vertices of all corners."""
-    positions = np.empty(3 * len(mesh.vertices), np.float32)
-    mesh.vertices.foreach_get("co", positions)
-    corners = np.empty(len(mesh.loops), np.int32)
-    mesh.loops.foreach_get("vertex_index", corners)
-    return zlib.crc32(corners.tobytes(), zlib.crc32(positions.tobytes()))
+    return zlib.crc32(corner_vertices(mesh), zlib.crc32(positions(mesh)))

@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import bpy
 
+from ...core.base.steps import Steps, finish, within
 from ...core.scene.arrays import Camera, Light, Material, Rgb, SceneArrays
 from ...core.scene.texture import Texture
+from ..host import changes
 from ..host.notices import Notices
-from ..host.preparation import Aside, Stages, finish_stages, once
+from ..host.preparation import SLICE, Aside, Stages
 from ..host.versions import working_space_notice
 from ..results.show import unhidden
 from .camera import read_camera
 from .cycles_settings import name_scene_settings
 from .image_store import KNOWN
-from .instances import Group, InstanceWalk, place
+from .instances import InstanceWalk
 from .lights import read_lights
 from .materials import Materials
+from .placed import Group, Walked, place
 from .unsupported import name_bright_attributes, name_missing_layers
 from .world import read_world
+
+ATTEMPTS = 3  # of which the last reads all at once
 
 
 def extract(
@@ -37,21 +43,74 @@ def extract(
     as it is stands in `warnings`; a scene in which there is nothing to compute gives a notice of severity "error" and empty arrays.
     Call it on the main thread.
     """
-    return finish_stages(extracting(depsgraph, scene, resolution, real))
-
-
-def extracting(
-    depsgraph: bpy.types.Depsgraph,
-    scene: bpy.types.Scene | None = None,
-    resolution: tuple[int, int] | None = None,
-    real: Mapping[str, bpy.types.Object] | None = None,
-) -> Stages[SceneArrays]:
-    """`extract` in two slices: Blender is asked at once, up to the first yield; what is computed of copied arrays runs aside."""
-    notices = Notices()
+    reading = Reading(scene or depsgraph.scene_eval, resolution, real or {})
     # A depsgraph of a render lists what is hidden in the viewport anyway.
     with unhidden(depsgraph.view_layer) if depsgraph.mode == "VIEWPORT" else contextlib.nullcontext():
-        found = _ask(depsgraph, scene or depsgraph.scene_eval, resolution, real or {}, notices)
-    return (yield Aside("Placing the meshes", once(lambda: _arrays(found, notices))))
+        reading.go_on(depsgraph, lambda: False)
+    return finish(reading.arranging())
+
+
+def extracting(resolution: tuple[int, int] | None = None, real: Mapping[str, bpy.types.Object] | None = None) -> Stages[SceneArrays]:
+    """`extract` of the scene of the context in slices: Blender is asked a little at a time, and what is computed runs aside.
+
+    Where something changes in the scene meanwhile, it is read anew, after some times at once.
+    """
+    for attempt in range(ATTEMPTS):
+        reading, last = Reading(bpy.context.scene, resolution, real or {}), attempt == ATTEMPTS - 1
+        seen = None
+        while True:
+            depsgraph = bpy.context.evaluated_depsgraph_get()
+            now = changes.count(), depsgraph.as_pointer(), bpy.context.scene.session_uid
+            if seen not in (None, now):
+                break
+            seen, began = now, time.monotonic()
+            with unhidden(depsgraph.view_layer):
+                # What is shown for the moment is evaluated for it, and gone afterwards.
+                at_once = last or changes.count() != now[0]
+                if reading.go_on(depsgraph, lambda: not at_once and time.monotonic() - began > SLICE):  # noqa: B023
+                    return (yield Aside("Placing the meshes", reading.arranging()))
+            yield "Reading the scene"
+    raise AssertionError("the last attempt reads all at once")
+
+
+class Reading:
+    """Copies a scene a little at a time, to arrange it without Blender. `resolution` and `real` as `extract` has them."""
+
+    def __init__(self, scene: bpy.types.Scene, resolution: tuple[int, int] | None, real: Mapping[str, bpy.types.Object]) -> None:
+        self._scene, self._resolution, self._notices = scene, resolution, Notices()
+        self._materials: Materials | None = None
+        self._real = real
+        self._copied: Copied | None = None
+
+    def go_on(self, depsgraph: bpy.types.Depsgraph, over: Callable[[], bool]) -> bool:
+        """Ask Blender until `over()`; returns whether all was asked. Nothing may have changed in the depsgraph between two calls."""
+        # Step 1: copy meshes, materials and lamps while walking over the instances (temporary objects die after the walk).
+        if self._materials is None:
+            working_space_notice(self._notices)
+            self._materials = Materials(depsgraph, self._notices)
+            self._walk = InstanceWalk(self._materials.index_of, self._materials.bodiless, self._notices, self._real)
+        materials, walk, notices = self._materials, self._walk, self._notices
+        materials.depsgraph = depsgraph
+        if not walk.go_on(depsgraph, over):
+            return False
+
+        # Step 2: what is not geometry.
+        scene = self._scene
+        name_scene_settings(scene.original, depsgraph.view_layer, notices)
+        lights = read_lights(walk.lights, notices)
+        background = read_world(depsgraph.view_layer.world_override or scene.world, materials.colors, notices)
+        camera = read_camera(scene, depsgraph, self._resolution, notices)
+        KNOWN.settle()
+        made, textures, default_color = materials.result(), materials.textures(), materials.colors.uses_default_attribute
+        self._copied = Copied(scene.name, walk.walked(), default_color, made, textures, lights, background, camera)
+        return True
+
+    def arranging(self) -> Steps[SceneArrays]:
+        """The arrays of what was copied, which is gone afterwards. Needs no Blender."""
+        copied, self._copied = self._copied, None
+        assert copied is not None
+        groups = yield from within(copied.walked.grouping(self._notices), 0.0, 0.7)
+        return _arrays(copied, groups, self._notices)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +118,7 @@ class Copied:
     """What Blender has said, of which nothing refers to its data any more; `default_color` as `place` has it."""
 
     scene: str
-    groups: list[Group]
+    walked: Walked
     default_color: bool
     materials: tuple[Material, ...]
     textures: tuple[Texture, ...]
@@ -68,34 +127,9 @@ class Copied:
     camera: Camera | None
 
 
-def _ask(
-    depsgraph: bpy.types.Depsgraph,
-    scene: bpy.types.Scene,
-    resolution: tuple[int, int] | None,
-    real: Mapping[str, bpy.types.Object],
-    notices: Notices,
-) -> Copied:
-    """Everything that needs Blender."""
-    working_space_notice(notices)
-
-    # Step 1: copy meshes, materials and lamps while walking over the instances (temporary objects die after the walk).
-    materials = Materials(depsgraph, notices)
-    walk = InstanceWalk(materials.index_of, materials.bodiless, notices, real)
-    walk.run(depsgraph)
-
-    # Step 2: what is not geometry.
-    name_scene_settings(scene.original, depsgraph.view_layer, notices)
-    lights = read_lights(walk.lights, notices)
-    background = read_world(depsgraph.view_layer.world_override or scene.world, materials.colors, notices)
-    camera = read_camera(scene, depsgraph, resolution, notices)
-    KNOWN.settle()
-    made, textures, default_color = materials.result(), materials.textures(), materials.colors.uses_default_attribute
-    return Copied(scene.name, walk.groups, default_color, made, textures, lights, background, camera)
-
-
-def _arrays(copied: Copied, notices: Notices) -> SceneArrays:
-    """Everything that does not: every instance is brought to world space, and what is missing there is named."""
-    placed = place(copied.groups, copied.default_color, notices)
+def _arrays(copied: Copied, groups: list[Group], notices: Notices) -> SceneArrays:
+    """Every instance is brought to world space, and what is missing there is named."""
+    placed = place(groups, copied.default_color, notices)
     for name in (name_missing_layers, name_bright_attributes):
         name(placed.objects, placed.object, placed.material, copied.materials, notices)
     if not placed.objects:

@@ -1,18 +1,16 @@
-"""Walking the depsgraph: objects and instances, what they are called, and their meshes placed in world space.
+"""Walking the depsgraph: objects and instances, what they are called, and copies of their meshes.
 
 Curves, texts, surfaces and metaballs need no conversion: the depsgraph lists the mesh they evaluate to as an instance of themselves.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Set
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
-from ...core.scene.arrays import ObjectArrays
 from ..host.notices import Notices
 from ..host.versions import terminator_offset
 from ..results import links as targets
@@ -22,27 +20,13 @@ from ..results.lightmap_uv import own_layer
 from ..results.preview import own_material
 from ..results.real import BECOMES_MESH
 from .cycles_settings import name_bounces, name_object_settings
-from .mesh import LARGEST_COORDINATE, MeshArrays, read_mesh
+from .mesh import MeshCopy
 from .nodes import attributes_read
+from .placed import Visit, Walked
 from .unsupported import name_rays, name_viewport
 from .visibility import NO_ID, Visibility
 
 FACELESS = {"CAMERA", "LIGHT", "LIGHT_PROBE", "SPEAKER", "ARMATURE", "LATTICE"}
-
-
-@dataclass(eq=False)
-class Group:
-    """Instances that share mesh, handedness and materials."""
-
-    mesh: MeshArrays
-    materials: np.ndarray  # (ns,) int32: scene material of each slot, at least one
-    names: list[str] = field(default_factory=list)
-    sources: list[str] = field(default_factory=list)
-    makers: list[str] = field(default_factory=list)
-    uids: list[int] = field(default_factory=list)
-    instances: list[tuple[int, ...]] = field(default_factory=list)
-    matrices: list[tuple[float, ...]] = field(default_factory=list)
-    terminators: list[float] = field(default_factory=list)
 
 
 @dataclass(eq=False)
@@ -56,7 +40,7 @@ class LightInstance:
 
 
 class InstanceWalk:
-    """One pass over the instances of a depsgraph.
+    """One pass over the instances of a depsgraph, in slices if it is long.
 
     `material_of` gives the index of a material, or of the default for None; faces with one of `bodiless`, filled by it, are no surface.
     An instance whose name is in `real` is taken as that object: it has the instance's faces, and UVs of its own. An object that is no
@@ -75,58 +59,70 @@ class InstanceWalk:
         self._notices = notices
         self._real = real or {}
         self._numbers = attributes_read()
-        self._meshes: dict[int, MeshArrays | None] = {}
-        self._groups: dict[tuple[int, bool, bytes], Group] = {}
-        self._group_of: dict[tuple[int, int, bool], Group | None] = {}
+        self._visibility: Visibility | None = None
+        self._done = 0  # items of the depsgraph's list that need no second look
+        self._identity: tuple[str, str, tuple[int, ...]] | None = None  # of the item whose mesh is not copied to its end
+        self._described: set[bpy.types.Object] = set()
+        self._meshes: dict[int, MeshCopy | None] = {}
+        self._slots_of: dict[tuple[int, int], np.ndarray] = {}
+        self._visits: list[Visit] = []
         self._faceless: dict[str, tuple[str, str]] = {}  # reason and remedy, for objects without faces of their own
-        self._makers: Counter[str] = Counter()  # how many instances with faces each object makes
+        self._metas: set[str] = set()
         self._names: set[str] = set()
         self.lights: list[LightInstance] = []
 
-    @property
-    def groups(self) -> list[Group]:
-        """All groups with at least one instance, in the order of first appearance."""
-        return list(self._groups.values())
-
     def run(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Visit every object and instance once and copy what is needed of it."""
-        visibility = Visibility(depsgraph, self._notices)
-        described: set[bpy.types.Object] = set()
-        for inst in depsgraph.object_instances:
-            obj = inst.object
-            original = obj.original
-            if not visibility.shows(inst, original):
-                continue
-            if original not in described:
-                described.add(original)
-                self._describe(original, depsgraph)
-            kind = obj.type
-            if kind in BECOMES_MESH:
-                self._faceless[original.name] = ("gives no faces and is left out", "Give it a bevel or an extrusion")
-            if kind == "MESH":
-                self._visit_mesh(inst, obj, original)
-            elif kind == "LIGHT":
-                self._visit_light(inst, obj, original)
-            elif original.is_missing:
-                self._notices.add(original.name, *targets.missing(original))
-            elif kind not in FACELESS and kind not in BECOMES_MESH and not (kind == "EMPTY" and original.is_instancer):
-                self._faceless[original.name] = (f"is of type {_words(kind)}, which has no faces, and is left out", "")
-        visibility.name_missing(depsgraph)
-        self._name_faceless()
+        self.go_on(depsgraph, lambda: False)
 
-    def _name_faceless(self) -> None:
-        """Name objects without faces, by what is in the light of them."""
-        made = {s for g in self.groups for s in g.sources}
-        families = {s.split(".")[0] for s in made}
-        for name, (reason, remedy) in self._faceless.items():
-            # Metaballs of one name form one surface, which the first of them owns.
-            meta = name in bpy.data.objects and bpy.data.objects[name].type == "META"
-            if name in made or (meta and name.split(".")[0] in families):
+    def go_on(self, depsgraph: bpy.types.Depsgraph, over: Callable[[], bool]) -> bool:
+        """`run`, until `over()`; returns whether it has come to the end. Nothing may have changed in the depsgraph between two calls."""
+        if self._visibility is None:
+            self._visibility = Visibility(depsgraph, self._notices)
+        for number, inst in enumerate(depsgraph.object_instances):
+            if number < self._done:
                 continue
-            count = self._makers[name]
-            if count:
-                reason, remedy = f"has no faces of its own; what it makes ({count} instance{'s' * (count > 1)}) is in the light", ""
-            self._notices.add(name, reason, remedy, "info")
+            if not self._visit(inst, depsgraph, over):
+                return False
+            self._done = number + 1
+            if over():
+                return False
+        self._visibility.name_missing(depsgraph)
+        return True
+
+    def walked(self) -> Walked:
+        """What was copied, of which nothing refers to Blender any more."""
+        meshes = {key: copy for key, copy in self._meshes.items() if copy is not None}
+        return Walked(meshes, self._visits, self._bodiless, self._faceless, self._metas)
+
+    def _visit(self, inst: bpy.types.DepsgraphObjectInstance, depsgraph: bpy.types.Depsgraph, over: Callable[[], bool]) -> bool:
+        """Look at one item; returns whether all is copied of it, else it is to be visited again."""
+        obj = inst.object
+        original, kind = obj.original, obj.type
+        if self._identity is None:
+            assert self._visibility is not None
+            if not self._visibility.shows(inst, original):
+                return True
+            if original not in self._described:
+                self._described.add(original)
+                self._describe(original, depsgraph)
+            if kind in BECOMES_MESH:
+                self._is_faceless(original.name, original, "gives no faces and is left out", "Give it a bevel or an extrusion")
+        if kind == "MESH":
+            return self._visit_mesh(inst, obj, original, over)
+        if kind == "LIGHT":
+            self._visit_light(inst, obj, original)
+        elif original.is_missing:
+            self._notices.add(original.name, *targets.missing(original))
+        elif kind not in FACELESS and kind not in BECOMES_MESH and not (kind == "EMPTY" and original.is_instancer):
+            self._is_faceless(original.name, original, f"is of type {_words(kind)}, which has no faces, and is left out")
+        return True
+
+    def _is_faceless(self, name: str, original: bpy.types.Object, reason: str, remedy: str = "") -> None:
+        """Note that an object has no faces of its own, to be said unless what it makes is in the light."""
+        self._faceless[name] = reason, remedy
+        if original.type == "META":
+            self._metas.add(name)
 
     def _describe(self, original: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> None:
         """Name what Cycles does with an object that counts, and is not done here."""
@@ -147,9 +143,16 @@ class InstanceWalk:
             if system.settings.type == "HAIR" and system.settings.render_type == "PATH":
                 self._notices.add(original.name, f'has hair ("{system.name}"), which is not in the light', "", "info")
 
-    def _visit_mesh(self, inst: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, original: bpy.types.Object) -> None:
+    def _visit_mesh(
+        self,
+        inst: bpy.types.DepsgraphObjectInstance,
+        obj: bpy.types.Object,
+        original: bpy.types.Object,
+        over: Callable[[], bool] = lambda: False,
+    ) -> bool:
+        """As `_visit`, of what has a mesh."""
+        name, source, ids = self._identity = self._identity or self._identify(inst, original)
         matrix = [x for row in inst.matrix_world for x in row]
-        name, source, ids = self._identify(inst, original)
         maker = inst.parent.original.name if ids and inst.parent else ""
         own = self._real.get(name)
         if own is not None:
@@ -159,18 +162,17 @@ class InstanceWalk:
         if is_flat(matrix):
             reason = "has a scale of zero or a matrix that is not a number and is left out"
             self._notices.add(name, reason, "Give it a scale other than zero on every axis")
-            return
-        group = self._group(obj, original, determinant_of(matrix) < 0.0, source, own.data if own is not None else obj.data)
-        if group is None:
-            return
-        self._makers[maker] += 1
-        group.makers.append(maker)
-        group.names.append(name)
-        group.sources.append(source)
-        group.uids.append((own or original).session_uid)
-        group.instances.append(ids)
-        group.matrices.append(tuple(matrix))
-        group.terminators.append(terminator_offset(original, "geometry"))
+        else:
+            mesh = own.data if own is not None else obj.data
+            if not self._is_copied(obj, mesh, source, over):
+                return False
+            pointer = mesh.as_pointer()
+            if self._meshes[pointer] is not None:
+                uid, terminator = (own or original).session_uid, terminator_offset(original, "geometry")
+                mirrored, slots = determinant_of(matrix) < 0.0, self._slots(obj, original, pointer)
+                self._visits.append(Visit(pointer, mirrored, slots, name, source, maker, uid, ids, tuple(matrix), terminator))
+        self._identity = None
+        return True
 
     def _visit_light(self, inst: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, original: bpy.types.Object) -> None:
         matrix = np.array([x for row in inst.matrix_world for x in row], np.float64).reshape(4, 4)
@@ -202,61 +204,35 @@ class InstanceWalk:
         self._names.add(unique)
         return unique, original.name, ids
 
-    def _group(self, obj: bpy.types.Object, original: bpy.types.Object, mirrored: bool, name: str, mesh: bpy.types.Mesh) -> Group | None:
-        """The group of this mesh, object (slots may be linked to it) and handedness; None when the mesh has no faces."""
+    def _is_copied(self, obj: bpy.types.Object, mesh: bpy.types.Mesh, name: str, over: Callable[[], bool]) -> bool:
+        """Copy a mesh, as far as `over()` lets it; returns whether it is done. What has no faces is None among the meshes.
+
+        In edit mode its layers cannot be read (their length is 0), but those of a temporary copy can.
+        """
         pointer = mesh.as_pointer()
-        key = (original.as_pointer(), pointer, mirrored)
-        if key not in self._group_of:
-            self._group_of[key] = self._make_group(obj, mesh, pointer, mirrored, name)
-        return self._group_of[key]
-
-    def _make_group(self, obj: bpy.types.Object, mesh: bpy.types.Mesh, pointer: int, mirrored: bool, name: str) -> Group | None:
-        """The group that objects of this mesh, handedness and materials have in common."""
         if pointer not in self._meshes:
-            self._meshes[pointer] = self._read(obj, mesh, name)
-        arrays = self._meshes[pointer]
-        if arrays is None:
-            return None
-        slots = self._slots(obj, obj.data)
-        key = (pointer, mirrored, slots.tobytes())
-        if key not in self._groups:
-            solid = self._solid(self._mirrored(pointer, arrays) if mirrored else arrays, slots)
-            if solid is None:
-                self._notices.add(name, "has volumes only, no surface, and is left out: light passes through it", "", "info")
-                return None
-            self._groups[key] = Group(solid, slots)
-        return self._groups[key]
-
-    def _solid(self, arrays: MeshArrays, slots: np.ndarray) -> MeshArrays | None:
-        """The mesh without the faces of materials that are no surface; None when nothing is left."""
-        if not self._bodiless.intersection(slots.tolist()):
-            return arrays
-        keep = ~np.isin(slots[np.clip(arrays.slot, 0, len(slots) - 1)], list(self._bodiless))
-        return arrays.taken(keep) if keep.any() else None
-
-    def _read(self, obj: bpy.types.Object, mesh: bpy.types.Mesh, name: str) -> MeshArrays | None:
-        """Copy a mesh. In edit mode its layers cannot be read (their length is 0), but those of a temporary copy can."""
-        if not mesh.polygons and not mesh.is_editmode:
-            self._faceless[name] = ("has no faces and is left out", "")
-            return None
+            if not mesh.polygons and not mesh.is_editmode:
+                self._is_faceless(name, obj.original, "has no faces and is left out")
+                self._meshes[pointer] = None
+                return True
+            ours = {stored.read(mesh, stored.UV) or "", own_layer(obj.original) if obj.original.type == "MESH" else ""}
+            self._meshes[pointer] = MeshCopy(name, self._numbers, ours)
+        copy = self._meshes[pointer]
+        if copy is None or copy.complete:
+            return True
         if not mesh.is_editmode:
-            return _without_own_layer(obj, mesh, read_mesh(mesh, name, self._notices, self._numbers))
+            return copy.go_on(mesh, over)
         try:
-            return _without_own_layer(obj, mesh, read_mesh(obj.to_mesh(), name, self._notices, self._numbers))
+            return copy.go_on(obj.to_mesh(), lambda: False)
         finally:
             obj.to_mesh_clear()
 
-    def _mirrored(self, pointer: int, arrays: MeshArrays) -> MeshArrays:
-        """The mirrored copy of a mesh, made once."""
-        if -pointer not in self._meshes:
-            self._meshes[-pointer] = arrays.mirrored()
-        found = self._meshes[-pointer]
-        assert found is not None
-        return found
-
-    def _slots(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> np.ndarray:
-        """(ns,) int32 material index of each slot, at least one."""
-        return np.array([self._material_of(m) for m in self.user_materials(obj, mesh) or [None]], np.int32)
+    def _slots(self, obj: bpy.types.Object, original: bpy.types.Object, pointer: int) -> np.ndarray:
+        """(ns,) int32 material index of each slot, at least one: those of the object count where they are linked to it."""
+        key = original.as_pointer(), pointer
+        if key not in self._slots_of:
+            self._slots_of[key] = np.array([self._material_of(m) for m in self.user_materials(obj, obj.data) or [None]], np.int32)
+        return self._slots_of[key]
 
     def user_materials(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> list[bpy.types.Material | None]:
         """The material of each slot: the object's where the slot is linked to it, else the mesh's; never a preview's."""
@@ -271,123 +247,6 @@ class InstanceWalk:
                 reason = "shows a result, and its own material was deleted, so its faces count as grey"
                 self._notices.add(obj.original.name, reason, "Press Restore Materials and give it a material")
         return materials
-
-
-@dataclass(eq=False)
-class Placed:
-    """All groups in world space, in the layout of `SceneArrays`."""
-
-    vertices: np.ndarray
-    triangles: np.ndarray
-    corner_normals: np.ndarray
-    smooth: np.ndarray
-    material: np.ndarray
-    object: np.ndarray
-    polygon: np.ndarray
-    corners: np.ndarray
-    objects: tuple[ObjectArrays, ...]
-
-
-def place(groups: list[Group], default_color: bool, notices: Notices) -> Placed:
-    """Transform every instance to world space and join the arrays; per-mesh UV and colour arrays are shared by instances.
-
-    With `default_color` the colour attribute used in rendering is entered under "" too, for nodes that name none.
-    """
-    objects: list[ObjectArrays] = []
-    parts: list[tuple[np.ndarray, ...]] = []
-    vertex_base = triangle_base = 0
-    for group in groups:
-        mesh = group.mesh
-        matrices = np.array(group.matrices, np.float64).reshape(-1, 4, 4)
-        vertices = mesh.vertices @ np.swapaxes(matrices[:, :3, :3], 1, 2) + matrices[:, None, :3, 3]
-        used = vertices[:, np.unique(mesh.triangles)] if len(matrices) == 1 else vertices
-        near = (np.abs(used) <= LARGEST_COORDINATE).all(axis=(1, 2))
-        for i in np.flatnonzero(~near):
-            notices.add(group.names[i], f"lies further out than {LARGEST_COORDINATE:.0e} m and is left out", "Move it closer to the origin")
-        kept = np.flatnonzero(near)
-        k, nv, nt = len(kept), len(mesh.vertices), len(mesh.triangles)
-        if not k:
-            continue
-        shift = vertex_base + nv * np.arange(k)[:, None, None]
-        slots = group.materials[np.clip(mesh.slot, 0, len(group.materials) - 1)]
-        first = len(objects)
-        parts.append(
-            (
-                vertices[kept].reshape(-1, 3),
-                (mesh.triangles[None] + shift).astype(np.int32).reshape(-1, 3),
-                _world_normals(mesh.normals, matrices[kept]),
-                np.tile(mesh.smooth, k),
-                np.tile(slots, k),
-                np.repeat(np.arange(first, first + k, dtype=np.int32), nt),
-                np.tile(mesh.polygon, k),
-                np.tile(mesh.corners, (k, 1)),
-            )
-        )
-        objects += _objects(group, kept, triangle_base, vertex_base, default_color)
-        vertex_base += nv * k
-        triangle_base += nt * k
-    empty = (
-        np.zeros((0, 3)),
-        np.zeros((0, 3), np.int32),
-        np.zeros((0, 3, 3), np.float32),
-        np.zeros(0, bool),
-        np.zeros(0, np.int32),
-        np.zeros(0, np.int32),
-        np.zeros(0, np.int32),
-        np.zeros((0, 3), np.int32),
-    )
-    columns = [np.concatenate([e, *(p[c] for p in parts)]) for c, e in enumerate(empty)]
-    return Placed(*columns, tuple(objects))
-
-
-def _objects(group: Group, kept: np.ndarray, first_triangle: int, first_vertex: int, default_color: bool) -> list[ObjectArrays]:
-    """The instances `kept` (k,) of a group, whose triangles and vertices lie behind one another from the first ones on."""
-    mesh, colors = group.mesh, group.mesh.colors
-    nv, nt = len(mesh.vertices), len(mesh.triangles)
-    if default_color and mesh.render_color in colors:
-        colors = {**colors, "": colors[mesh.render_color]}
-    return [
-        ObjectArrays(
-            name=group.names[i],
-            source=group.sources[i],
-            maker=group.makers[i],
-            uid=group.uids[i],
-            instance=group.instances[i],
-            first_triangle=first_triangle + j * nt,
-            triangle_count=nt,
-            first_vertex=first_vertex + j * nv,
-            vertex_count=nv,
-            corner_count=mesh.corner_count,
-            polygon_count=mesh.polygon_count,
-            uvs=mesh.uvs,
-            render_uv=mesh.render_uv,
-            colors=colors,
-            selected=mesh.selected,
-            terminator=group.terminators[i],
-        )
-        for j, i in enumerate(kept.tolist())
-    ]
-
-
-def _without_own_layer(obj: bpy.types.Object, mesh: bpy.types.Mesh, arrays: MeshArrays | None) -> MeshArrays | None:
-    """`arrays` of `mesh`. Images do not lie on the layer that a bake has made: where there is no other they have none, as before."""
-    if arrays is None or not arrays.render_uv:
-        return arrays
-    ours = {stored.read(mesh, stored.UV), own_layer(obj.original) if obj.original.type == "MESH" else ""}
-    return replace(arrays, render_uv="") if arrays.render_uv in ours else arrays
-
-
-def _world_normals(normals: np.ndarray, matrices: np.ndarray) -> np.ndarray:
-    """Object-space unit normals (nt, 3, 3) by the inverse transpose of each matrix (k, 4, 4) -> (k * nt, 3, 3) float32 unit.
-
-    The inverse transpose maps an outward normal to an outward normal for mirrored matrices too.
-    """
-    inverse = np.linalg.inv(matrices[:, :3, :3])
-    # Only the direction counts: scaling keeps float32 in range for tiny and huge matrices.
-    inverse /= np.abs(inverse).max(axis=(1, 2), keepdims=True)
-    world = (normals.reshape(-1, 3) @ inverse.astype(np.float32)).reshape(-1, 3, 3)
-    length = np.linalg.norm(world, axis=2, keepdims=True)
-    return world / np.maximum(length, np.float32(1e-30))
 
 
 def is_flat(matrix: list[float]) -> bool:

@@ -26,7 +26,7 @@ class Materials:
     """Collects materials while the objects are walked over."""
 
     def __init__(self, depsgraph: bpy.types.Depsgraph, notices: Notices) -> None:
-        self._depsgraph = depsgraph
+        self.depsgraph = depsgraph
         self._override = depsgraph.view_layer.material_override
         self._notices = notices
         self._index: dict[int, int] = {}
@@ -43,7 +43,7 @@ class Materials:
             index = self._index[key] = len(self._materials)
             self._materials.append(Material(DEFAULT))
             if material is not None:
-                self._materials[index] = self._read(material.evaluated_get(self._depsgraph), index)
+                self._materials[index] = self._read(material.evaluated_get(self.depsgraph), index)
         return self._index[key]
 
     def result(self) -> tuple[Material, ...]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Set
 from dataclasses import dataclass, replace
+from typing import Any
 
 import bpy
 import numpy as np
 
+from ..host.meshes import copied, corner_vertices, material_slots, positions, selected, triangle_corners, triangle_polygons
 from ..host.notices import Notices
 
 LARGEST_COORDINATE = 1e12  # squares of longer edges leave float32
@@ -81,56 +84,127 @@ class MeshArrays:
         )
 
 
-def read_mesh(mesh: bpy.types.Mesh, name: str, notices: Notices, numbers: frozenset[str] = frozenset()) -> MeshArrays | None:
-    """Copy `mesh` into arrays; None (with a notice about `name`) when it has no usable face.
+class MeshCopy:
+    """A mesh as Blender hands it out, copied a piece at a time, each by a few calls; the rest is computed without Blender.
 
-    Colour attributes are copied always, attributes of numbers and vectors when their name is in `numbers`.
+    `name` is what notices call it. Attributes of numbers and vectors are copied when their name is in `numbers`, colour attributes always.
+    Images do not lie on the layers `ours`: where there is no other one they have none.
     """
-    if not mesh.polygons:
-        notices.add(name, "has no faces and is left out", "", "info")
-        return None
-    vertices = _get(mesh.vertices, "co", 3, np.float32).astype(np.float64)
-    loops = mesh.loop_triangles
-    triangles = _get(loops, "vertices", 3, np.int32)
-    corners = _get(loops, "loops", 3, np.int32)
-    polygon = _get(loops, "polygon_index", 1, np.int32)
 
-    # Remove what has no area or no position; the mesh itself stays untouched.
-    keep = _usable(vertices, triangles, name, notices)
-    if not keep.all():
-        triangles, corners, polygon = triangles[keep], corners[keep], polygon[keep]
-    if not len(triangles):
-        notices.add(name, "has no face with an area and is left out", "Dissolve its degenerate faces or give them an area")
-        return None
-    vertices[~_sound(vertices)] = 0.0
+    def __init__(self, name: str, numbers: frozenset[str] = frozenset(), ours: Set[str] = frozenset()) -> None:
+        self.name, self._numbers, self._ours = name, numbers, ours
+        self._pieces: dict[str, Any] = {}
 
-    normals, smooth = _normals(mesh, vertices, triangles, corners, polygon)
-    slot = _get(mesh.polygons, "material_index", 1, np.int32)[polygon]
-    selected = _get(mesh.polygons, "select", 1, bool)[polygon]
-    uvs = {layer.name: _uv_layer(layer, corners, name, notices) for layer in mesh.uv_layers}
-    return MeshArrays(
-        vertices=vertices,
-        triangles=triangles,
-        corners=corners,
-        polygon=polygon,
-        normals=normals,
-        smooth=smooth,
-        slot=slot,
-        selected=selected,
-        uvs=uvs,
-        render_uv=next((layer.name for layer in mesh.uv_layers if layer.active_render), ""),
-        colors=_colors(mesh, triangles, corners, polygon, name, notices, numbers),
-        render_color=_render_color(mesh),
-        corner_count=len(mesh.loops),
-        polygon_count=len(mesh.polygons),
-    )
+    @property
+    def complete(self) -> bool:
+        """Whether all was copied."""
+        return len(self._pieces) == len(PIECES)
+
+    def go_on(self, mesh: bpy.types.Mesh, over: Callable[[], bool]) -> bool:
+        """Copy the pieces that are missing, at least one and no more than until `over`; returns whether it has all of them."""
+        for name, read in PIECES.items():
+            if name not in self._pieces:
+                self._pieces[name] = read(mesh, self._numbers)
+                if over():
+                    break
+        return self.complete
+
+    def arrays(self, notices: Notices) -> MeshArrays | None:
+        """What was copied as `MeshArrays`; None (with a notice) where it has no usable face. The copy is empty then."""
+        got, self._pieces, name = self._pieces, {}, self.name
+        if not len(got["slot"]):
+            notices.add(name, "has no faces and is left out", "", "info")
+            return None
+        vertices = got["vertices"].astype(np.float64)
+        corners, polygon = got["corners"], got["polygon"]
+        triangles = got["corner_vertices"][corners]
+
+        # Remove what has no area or no position; the mesh itself stays untouched.
+        keep = _usable(vertices, triangles, name, notices)
+        if not keep.all():
+            triangles, corners, polygon = triangles[keep], corners[keep], polygon[keep]
+        if not len(triangles):
+            notices.add(name, "has no face with an area and is left out", "Dissolve its degenerate faces or give them an area")
+            return None
+        vertices[~_sound(vertices)] = 0.0
+
+        normals, smooth = _normals(got["normals"], got["smooth"], vertices, triangles, corners, polygon)
+        at = {"POINT": triangles, "CORNER": corners, "FACE": np.broadcast_to(polygon[:, None], corners.shape)}
+        return MeshArrays(
+            vertices=vertices,
+            triangles=triangles,
+            corners=corners,
+            polygon=polygon,
+            normals=normals,
+            smooth=smooth,
+            slot=got["slot"][polygon],
+            selected=got["selected"][polygon],
+            uvs={layer: _finite(uv[corners], name, f'UV layer "{layer}" holds coordinates', notices) for layer, uv in got["uvs"].items()},
+            render_uv="" if got["render_uv"] in self._ours else got["render_uv"],
+            colors={
+                layer: _finite(values[at[domain]], name, f'attribute "{layer}" holds values', notices)
+                for layer, (domain, values) in got["colors"].items()
+            },
+            render_color=got["render_color"],
+            corner_count=len(got["corner_vertices"]),
+            polygon_count=len(got["slot"]),
+        )
 
 
-def _get(collection: bpy.types.bpy_prop_collection, attribute: str, width: int, dtype: type) -> np.ndarray:
-    """(n,) or (n, width) array of one attribute of all items."""
-    out = np.empty(len(collection) * width, dtype)
-    collection.foreach_get(attribute, out)
-    return out if width == 1 else out.reshape(-1, width)
+def read_mesh(mesh: bpy.types.Mesh, name: str, notices: Notices, numbers: frozenset[str] = frozenset()) -> MeshArrays | None:
+    """Copy `mesh` into arrays at once; see `MeshCopy`."""
+    copy = MeshCopy(name, numbers)
+    copy.go_on(mesh, lambda: False)
+    return copy.arrays(notices)
+
+
+def _smooth(mesh: bpy.types.Mesh) -> np.ndarray:
+    """(np,) bool: polygons that are marked as smooth."""
+    sharp = mesh.attributes.get("sharp_face")
+    if sharp is not None and sharp.domain == "FACE":
+        return ~copied(sharp.data, "value", 1, bool)
+    return np.ones(len(mesh.polygons), bool)
+
+
+def _uvs(mesh: bpy.types.Mesh) -> dict[str, np.ndarray]:
+    """(nc, 2) float32 of every UV layer."""
+    return {layer.name: copied(layer.uv, "vector", 2, np.float32) for layer in mesh.uv_layers}
+
+
+def _colors(mesh: bpy.types.Mesh, numbers: frozenset[str]) -> dict[str, tuple[str, np.ndarray]]:
+    """Domain and (n, 4) float32 values of every colour attribute, and of what is in `numbers`; Blender hands out byte colours already
+    scene-linear."""
+    out = {}
+    for attribute in mesh.attributes:
+        if attribute.domain not in ("POINT", "CORNER", "FACE"):
+            continue
+        if attribute.data_type in ("FLOAT_COLOR", "BYTE_COLOR"):
+            out[attribute.name] = attribute.domain, copied(attribute.data, "color", 4, np.float32)
+        elif attribute.data_type in NUMBERS and attribute.name in numbers:
+            out[attribute.name] = attribute.domain, _as_color(copied(attribute.data, *NUMBERS[attribute.data_type]))
+    return out
+
+
+def _render_color(mesh: bpy.types.Mesh) -> str:
+    """Name of the colour attribute used in rendering, "" without any."""
+    attributes, index = mesh.color_attributes, mesh.color_attributes.render_color_index
+    return attributes[index].name if 0 <= index < len(attributes) else ""
+
+
+PIECES: dict[str, Callable[[bpy.types.Mesh, frozenset[str]], Any]] = {
+    "vertices": lambda mesh, _: positions(mesh),
+    "corner_vertices": lambda mesh, _: corner_vertices(mesh),
+    "corners": lambda mesh, _: triangle_corners(mesh),
+    "polygon": lambda mesh, _: triangle_polygons(mesh),
+    "normals": lambda mesh, _: copied(mesh.corner_normals, "vector", 3, np.float32),
+    "smooth": lambda mesh, _: _smooth(mesh),
+    "slot": lambda mesh, _: material_slots(mesh),
+    "selected": lambda mesh, _: selected(mesh),
+    "uvs": lambda mesh, _: _uvs(mesh),
+    "render_uv": lambda mesh, _: next((layer.name for layer in mesh.uv_layers if layer.active_render), ""),
+    "colors": _colors,
+    "render_color": lambda mesh, _: _render_color(mesh),
+}
 
 
 def _sound(vertices: np.ndarray) -> np.ndarray:
@@ -162,13 +236,13 @@ def _usable(vertices: np.ndarray, triangles: np.ndarray, name: str, notices: Not
 
 
 def _normals(
-    mesh: bpy.types.Mesh, vertices: np.ndarray, triangles: np.ndarray, corners: np.ndarray, polygon: np.ndarray
+    of_corners: np.ndarray, smooth: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, corners: np.ndarray, polygon: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Unit corner normals (nt, 3, 3) float32 and whether to shade with them (nt,) bool.
+    """Unit corner normals (nt, 3, 3) float32 and whether to shade with them (nt,) bool, of those that Blender has for each corner.
 
     A triangle is smooth when its polygon is marked so, or when custom normals turn a corner away from the polygon's normal.
     """
-    normals = _get(mesh.corner_normals, "vector", 3, np.float32)[corners]
+    normals = of_corners[corners]
     p = vertices[triangles]
     doubled = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     face = doubled / np.linalg.norm(doubled, axis=1, keepdims=True)
@@ -180,56 +254,14 @@ def _normals(
     length[bad] = 1.0
     normals /= length[:, :, None]
 
-    sharp = mesh.attributes.get("sharp_face")
-    smooth = np.ones(len(mesh.polygons), bool)
-    if sharp is not None and sharp.domain == "FACE":
-        smooth = ~_get(sharp.data, "value", 1, bool)
     # The area vectors of its triangles add up to a polygon's normal; Blender 5's `polygon_normals` follow the custom normals instead.
-    count = len(mesh.polygons)
+    count = len(smooth)
     of_polygon = np.stack([np.bincount(polygon, doubled[:, i], count) for i in range(3)], axis=1)
     length = np.linalg.norm(of_polygon, axis=1, keepdims=True)
     of_polygon = (of_polygon / np.where(length > 0.0, length, 1.0))[polygon]
     turned = np.einsum("tij,tj->ti", normals, of_polygon).min(axis=1) < FLAT_NORMAL
     turned &= ~bad.any(axis=1) & (np.einsum("tj,tj->t", of_polygon, of_polygon) > 0.5)
     return normals.astype(np.float32, copy=False), smooth[polygon] | turned
-
-
-def _uv_layer(layer: bpy.types.MeshUVLoopLayer, corners: np.ndarray, name: str, notices: Notices) -> np.ndarray:
-    """(nt, 3, 2) float32 UV coordinates; those that are not numbers become 0."""
-    uv = _get(layer.uv, "vector", 2, np.float32)[corners]
-    return _finite(uv, name, f'UV layer "{layer.name}" holds coordinates that are not numbers; they count as 0', notices)
-
-
-def _colors(
-    mesh: bpy.types.Mesh,
-    triangles: np.ndarray,
-    corners: np.ndarray,
-    polygon: np.ndarray,
-    name: str,
-    notices: Notices,
-    numbers: frozenset[str],
-) -> dict[str, np.ndarray]:
-    """Every colour attribute, and what is in `numbers`, as (nt, 3, 4) float32; Blender hands out byte colours already scene-linear."""
-    out = {}
-    for attribute in mesh.attributes:
-        if attribute.domain not in ("POINT", "CORNER", "FACE"):
-            continue
-        if attribute.data_type in ("FLOAT_COLOR", "BYTE_COLOR"):
-            values = _get(attribute.data, "color", 4, np.float32)
-        elif attribute.data_type in NUMBERS and attribute.name in numbers:
-            values = _as_color(_get(attribute.data, *NUMBERS[attribute.data_type]))
-        else:
-            continue
-        if attribute.domain == "POINT":
-            color = values[triangles]
-        elif attribute.domain == "CORNER":
-            color = values[corners]
-        else:
-            color = np.repeat(values[polygon][:, None, :], 3, axis=1)
-        out[attribute.name] = _finite(
-            color, name, f'attribute "{attribute.name}" holds values that are not numbers; they count as 0', notices
-        )
-    return out
 
 
 def _as_color(values: np.ndarray) -> np.ndarray:
@@ -241,16 +273,10 @@ def _as_color(values: np.ndarray) -> np.ndarray:
     return out
 
 
-def _render_color(mesh: bpy.types.Mesh) -> str:
-    """Name of the colour attribute used in rendering, "" without any."""
-    attributes, index = mesh.color_attributes, mesh.color_attributes.render_color_index
-    return attributes[index].name if 0 <= index < len(attributes) else ""
-
-
-def _finite(values: np.ndarray, name: str, reason: str, notices: Notices) -> np.ndarray:
-    """`values` with everything that is not a number replaced by 0, and a notice if there was any."""
+def _finite(values: np.ndarray, name: str, what: str, notices: Notices) -> np.ndarray:
+    """`values` with everything that is not a number replaced by 0, and a notice if there was any: `what` says what holds them."""
     good = np.isfinite(values)
     if not good.all():
-        notices.add(name, reason, "Unwrap or paint it again")
+        notices.add(name, f"{what} that are not numbers; they count as 0", "Unwrap or paint it again")
         values = np.where(good, values, np.float32(0.0))
     return np.ascontiguousarray(values)

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...core.base.atomic import require_finite
 from ...core.base.errors import Notice, TargetError, WriteError
+from ..host.meshes import corner_vertices
 from . import links as targets
 from . import stored
 from .stored import ADDED
@@ -96,7 +97,7 @@ def same_topology(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool
     try:
         if mesh is None or len(mesh.vertices) != len(original.vertices) or len(mesh.loops) != len(original.loops):
             return False
-        return np.array_equal(_corner_vertices(mesh), _corner_vertices(original))
+        return np.array_equal(corner_vertices(mesh), corner_vertices(original))
     finally:
         evaluated.to_mesh_clear()
 
@@ -295,9 +296,3 @@ def place_result_object(obj: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.type
 
 def _enabled(modifier: bpy.types.Modifier) -> bool:
     return modifier.show_viewport or modifier.show_render
-
-
-def _corner_vertices(mesh: bpy.types.Mesh) -> np.ndarray:
-    out = np.empty(len(mesh.loops), np.int32)
-    mesh.loops.foreach_get("vertex_index", out)
-    return out

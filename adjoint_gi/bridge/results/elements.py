@@ -10,6 +10,7 @@ from mathutils import Matrix
 from ...core.base.errors import TargetError, WriteError
 from ...core.elements.mesh import ElementMesh
 from ...core.scene.arrays import ObjectArrays, SceneArrays
+from ..host.meshes import corner_vertices, first_corners, material_slots
 from .attribute import WrittenAttribute, check_attribute_target, checked_colors, fill_attribute, place_result_object, result_object
 from .preview import own_material
 
@@ -105,8 +106,7 @@ def _slots(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, arrays: Object
     try:
         if mesh is None or len(mesh.polygons) != arrays.polygon_count:
             raise TargetError(obj.name, "was edited meanwhile, so its elements do not fit it", "Bake again")
-        slots = np.empty(len(mesh.polygons), np.int32)
-        mesh.polygons.foreach_get("material_index", slots)
+        slots = material_slots(mesh)
     finally:
         evaluated.to_mesh_clear()
     return np.ascontiguousarray(slots[polygon])
@@ -116,7 +116,4 @@ def _same(mesh: bpy.types.Mesh, vertices: int, corners: np.ndarray, start: np.nd
     """Whether `mesh` has just these faces."""
     if (len(mesh.vertices), len(mesh.loops), len(mesh.polygons)) != (vertices, len(corners), len(start)):
         return False
-    there, first = np.empty(len(corners), np.int32), np.empty(len(start), np.int32)
-    mesh.loops.foreach_get("vertex_index", there)
-    mesh.polygons.foreach_get("loop_start", first)
-    return np.array_equal(there, corners) and np.array_equal(first, start)
+    return np.array_equal(corner_vertices(mesh), corners) and np.array_equal(first_corners(mesh), start)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...core.base.errors import SceneError
 from ...core.receivers.charts import Mesh, carry
+from ..host.meshes import corner_vertices, positions, triangle_corners, triangle_polygons
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,27 +60,42 @@ class MeshFaces:
         out[self.corners[which, k]] = carry(self.point[base], uv, self.point[which, k][:, None])[:, 0]
 
 
-def read_faces(obj: bpy.types.Object, mesh: bpy.types.Mesh | None = None) -> MeshFaces:
-    """The faces of `mesh`, by default the original one, with the size that `obj` has; raises SceneError where none can be unwrapped."""
-    mesh = obj.data if mesh is None else mesh
+@dataclass(frozen=True, eq=False)
+class FacesCopy:
+    """What Blender says of the faces of an object called `name`; what is unwrapped is made of it without Blender.
+
+    size              (3, 3) float64 from the mesh to the size that the object has
+    positions         (nv, 3) float32
+    corners, polygon  (nt, 3) and (nt,) int32 of its triangles
+    vertices          (nc,) int32 vertex of each corner
+    """
+
+    name: str
+    size: np.ndarray
+    positions: np.ndarray
+    corners: np.ndarray
+    polygon: np.ndarray
+    vertices: np.ndarray
+
+    def faces(self) -> MeshFaces:
+        """Raises SceneError where none can be unwrapped."""
+        corners, polygon = self.corners, self.polygon
+        triangles = self.vertices[corners]
+        with np.errstate(invalid="ignore", over="ignore"):
+            vertices = self.positions.astype(np.float64) @ self.size.T
+            point = vertices[triangles]
+            good = np.isfinite(point).all(axis=(1, 2)) & (np.abs(np.nan_to_num(point)).max(axis=(1, 2)) <= 1e12)
+            area = np.linalg.norm(np.cross(point[:, 1] - point[:, 0], point[:, 2] - point[:, 0]), axis=1)
+            good &= area > 0
+        if not good.any():
+            raise SceneError(self.name, "has no face with an area", "Give it faces with an area, and no scale of 0")
+        flat = Mesh(np.where(np.isfinite(vertices), vertices, 0.0), triangles[good].astype(np.int64), polygon[good])
+        return MeshFaces(flat, point, corners, polygon, area, good, len(self.vertices))
+
+
+def copy_faces(obj: bpy.types.Object, mesh: bpy.types.Mesh) -> FacesCopy:
+    """The faces of `mesh` with the size that `obj` has; raises SceneError where there are none."""
     if not mesh.polygons:
         raise SceneError(obj.name, "has no faces to unwrap", "Give it faces")
-    vertices = np.empty(len(mesh.vertices) * 3, np.float32)
-    mesh.vertices.foreach_get("co", vertices)
-    vertices = vertices.reshape(-1, 3).astype(np.float64) @ np.array(obj.matrix_world.to_3x3(), np.float64).T
-    loops = mesh.loop_triangles
-    count = len(loops)
-    triangles, corners, polygon = np.empty(count * 3, np.int32), np.empty(count * 3, np.int32), np.empty(count, np.int32)
-    loops.foreach_get("vertices", triangles)
-    loops.foreach_get("loops", corners)
-    loops.foreach_get("polygon_index", polygon)
-    triangles, corners = triangles.reshape(-1, 3), corners.reshape(-1, 3)
-    with np.errstate(invalid="ignore", over="ignore"):
-        point = vertices[triangles]
-        good = np.isfinite(point).all(axis=(1, 2)) & (np.abs(np.nan_to_num(point)).max(axis=(1, 2)) <= 1e12)
-        area = np.linalg.norm(np.cross(point[:, 1] - point[:, 0], point[:, 2] - point[:, 0]), axis=1)
-        good &= area > 0
-    if not good.any():
-        raise SceneError(obj.name, "has no face with an area", "Give it faces with an area, and no scale of 0")
-    flat = Mesh(np.where(np.isfinite(vertices), vertices, 0.0), triangles[good].astype(np.int64), polygon[good])
-    return MeshFaces(flat, point, corners, polygon, area, good, len(mesh.loops))
+    size = np.array(obj.matrix_world.to_3x3(), np.float64)
+    return FacesCopy(obj.name, size, positions(mesh), triangle_corners(mesh), triangle_polygons(mesh), corner_vertices(mesh))

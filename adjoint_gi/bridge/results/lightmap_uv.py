@@ -21,9 +21,10 @@ import numpy as np
 
 from ...core.base.errors import Notice, TargetError
 from ...core.receivers.unwrap import Unwrapped, unwrap
+from ..host.meshes import corner_vertices, first_corners
 from . import carried, stored
 from . import links as targets
-from .faces import MeshFaces, read_faces
+from .faces import FacesCopy, MeshFaces, copy_faces
 from .stored import ASKED, FACES, SHARED
 
 STORED = stored.UV  # custom property of the mesh: name of the layer made by us
@@ -102,28 +103,41 @@ class UvPlan:
     vertices: tuple[np.ndarray, ...]  # (corners,) int32 vertex of each corner
     names: tuple[frozenset[str], ...]  # attributes that the meshes have
 
+    def spread(self, unwrapped: Unwrapped) -> list[np.ndarray]:
+        """(corners, 2) float32 UV of each object. Needs no Blender."""
+        return [face.spread(uv) for face, uv in zip(self.faces, unwrapped.uvs, strict=True)]
 
-def read_plan(objects: Sequence[bpy.types.Object], view_layer: bpy.types.ViewLayer | None = None) -> UvPlan:
-    """The meshes of `objects` as they are to be unwrapped: evaluated where the layer must be carried. Nothing is changed.
 
-    Raises TargetError for an object of another file and for edit mode, SceneError for a mesh that has no usable face.
+@dataclass(frozen=True, eq=False)
+class PlanCopy:
+    """What Blender says of one object for a plan: its faces, whether its layer is to be carried, and what attributes its mesh has."""
+
+    faces: FacesCopy
+    carried: bool
+    names: frozenset[str]
+
+
+def copy_for_plan(obj: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> PlanCopy:
+    """The mesh of `obj` as it is to be unwrapped: evaluated where the layer must be carried. Nothing is changed.
+
+    Raises TargetError for an object of another file and for edit mode, SceneError for a mesh without faces.
     """
-    for obj in objects:
-        check_target(obj)
-    view_layer = view_layer or bpy.context.view_layer
-    carry = [carried.must_carry(obj) or not _room(obj) for obj in objects]
-    found = []
-    with carried.stage([o for o, c in zip(objects, carry, strict=True) if c], view_layer):
-        depsgraph = view_layer.depsgraph
-        for obj, c in zip(objects, carry, strict=True):
-            mesh = obj.evaluated_get(depsgraph).data if c else obj.data
-            found.append((read_faces(obj, mesh), _corner_vertices(mesh), frozenset(a.name for a in mesh.attributes)))
-    faces, vertices, names = zip(*found, strict=True) if found else ((), (), ())
-    return UvPlan(tuple(objects), faces, tuple(carry), vertices, names)
+    check_target(obj)
+    if not (carried.must_carry(obj) or not _room(obj)):
+        return PlanCopy(copy_faces(obj, obj.data), False, frozenset(a.name for a in obj.data.attributes))
+    with carried.stage([obj], view_layer):
+        mesh = obj.evaluated_get(view_layer.depsgraph).data
+        return PlanCopy(copy_faces(obj, mesh), True, frozenset(a.name for a in mesh.attributes))
 
 
-def write_plan(plan: UvPlan, unwrapped: Unwrapped, name: str = NAME) -> Callable[[], None]:
-    """Give the objects of `plan` the layers `unwrapped`; returns what takes that back. All get their layer, or none.
+def plan_of(objects: Sequence[bpy.types.Object], copies: Sequence[PlanCopy]) -> UvPlan:
+    """What `copies` make of `objects`, at which nothing is looked here. Raises SceneError for a mesh that has no usable face."""
+    faces, vertices = tuple(c.faces.faces() for c in copies), tuple(c.faces.vertices for c in copies)
+    return UvPlan(tuple(objects), faces, tuple(c.carried for c in copies), vertices, tuple(c.names for c in copies))
+
+
+def write_plan(plan: UvPlan, unwrapped: Unwrapped, uvs: Sequence[np.ndarray], name: str = NAME) -> Callable[[], None]:
+    """Give the objects of `plan` the layers `unwrapped`, spread to `uvs`; returns what takes that back. All get their layer, or none.
 
     Raises TargetError where a layer cannot be added.
     """
@@ -131,14 +145,14 @@ def write_plan(plan: UvPlan, unwrapped: Unwrapped, name: str = NAME) -> Callable
     with contextlib.ExitStack() as back:
         for obj in plan.objects:
             back.callback(_snapshot(obj))
-        for k, (obj, face, uv) in enumerate(zip(plan.objects, plan.faces, unwrapped.uvs, strict=True)):
+        for k, (obj, uv) in enumerate(zip(plan.objects, uvs, strict=True)):
             if plan.carried[k]:
                 mine = _on_mesh(obj.data)
                 taken = plan.names[k] - {mine} if _remove_from_mesh(obj, carrying) else plan.names[k]
-                carried.carry(obj, _free(obj, name, taken), face.spread(uv), plan.vertices[k])
+                carried.carry(obj, _free(obj, name, taken), uv, plan.vertices[k])
             else:
                 carried.drop(obj)
-                _write_layer(obj, name, face.spread(uv))
+                _write_layer(obj, name, uv)
         _mark_shared(plan.objects, unwrapped)
         return back.pop_all().close
 
@@ -153,10 +167,10 @@ def make_lightmap_uvs(
     layer, or none. Returns what there is to say. Raises TargetError for an object of another file, edit mode, or more charts than fit;
     SceneError for a mesh that has no usable face.
     """
-    plan = read_plan(objects)
+    plan = plan_of(objects, [copy_for_plan(obj, bpy.context.view_layer) for obj in objects])
     with listed_errors(objects):
         unwrapped = unwrap([face.mesh for face in plan.faces], resolution, paddings)
-    write_plan(plan, unwrapped, name)
+    write_plan(plan, unwrapped, plan.spread(unwrapped), name)
     return notices(objects, unwrapped)
 
 
@@ -286,15 +300,7 @@ def _remove_from_mesh(obj: bpy.types.Object, going: Set[bpy.types.Object] = froz
 
 def _print(mesh: bpy.types.Mesh) -> str:
     """Checksum of the faces: the vertices of all corners, and where faces start."""
-    starts = np.empty(len(mesh.polygons), np.int32)
-    mesh.polygons.foreach_get("loop_start", starts)
-    return f"{zlib.crc32(starts.tobytes(), zlib.crc32(_corner_vertices(mesh).tobytes())):08x}"
-
-
-def _corner_vertices(mesh: bpy.types.Mesh) -> np.ndarray:
-    out = np.empty(len(mesh.loops), np.int32)
-    mesh.loops.foreach_get("vertex_index", out)
-    return out
+    return f"{zlib.crc32(first_corners(mesh), zlib.crc32(corner_vertices(mesh))):08x}"
 
 
 # ---- layers of both kinds
