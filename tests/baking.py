@@ -219,8 +219,8 @@ class TexelComparison:
 
     @property
     def mean_error(self) -> float:
-        """Relative standard error of `mean`."""
-        return float(np.sqrt((self.error[self.used] ** 2).sum()) / self.theirs[self.used].sum())
+        """Relative standard error of `mean`: paths carry all channels, so their errors add up as they are; those of texels by squares."""
+        return float(np.sqrt((self.error[self.used].sum(axis=1) ** 2).sum()) / self.theirs[self.used].sum())
 
     @property
     def z(self) -> np.ndarray:

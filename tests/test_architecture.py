@@ -7,6 +7,7 @@ Each rule is a function from a source text to the breaches found in it, so that 
 from __future__ import annotations
 
 import ast
+import functools
 import io
 import re
 import subprocess
@@ -46,6 +47,20 @@ def part_of(path: str) -> str:
     return next(part for part in PARTS if part == "" or path == part or path.startswith((part + "/", part + ".")))
 
 
+@functools.cache
+def parsed(source: str) -> ast.Module:
+    """The syntax tree of a source, which most rules ask for."""
+    return ast.parse(source)
+
+
+def dotted(node: ast.AST) -> str:
+    """Names joined by dots, as in `numpy.random.rand`; empty for any other expression."""
+    if isinstance(node, ast.Attribute):
+        before = dotted(node.value)
+        return before and f"{before}.{node.attr}"
+    return node.id if isinstance(node, ast.Name) else ""
+
+
 def imports(tree: ast.AST, path: str) -> Iterator[tuple[str, bool]]:
     """Every imported thing as (dotted name, False), or as (path from our root, True) for a relative import."""
     folder = path.split("/")[:-1]
@@ -64,7 +79,7 @@ def wrong_imports(source: str, path: str) -> list[str]:
     """Imports that break the table of parts."""
     libraries, ours = RULES[part_of(path)]
     found = []
-    for name, relative in imports(ast.parse(source), path):
+    for name, relative in imports(parsed(source), path):
         allowed = part_of(name) in ours if relative else name.split(".")[0] in libraries | sys.stdlib_module_names
         if not allowed:
             found.append(f"imports {name}")
@@ -74,7 +89,7 @@ def wrong_imports(source: str, path: str) -> list[str]:
 def against_order(source: str, path: str) -> list[str]:
     """Imports from a folder that stands later in `ORDER`, or of a method by another; also inside functions."""
     part = part_of(path)
-    names = [name for name, relative in imports(ast.parse(source), path) if relative]
+    names = [name for name, relative in imports(parsed(source), path) if relative]
     if part == "solvers":
         return [f"imports the method {name}" for name in names if name.startswith("solvers/") and path != "solvers/__init__.py"]
     order = ORDER.get(part, "").split()
@@ -118,7 +133,7 @@ def circles(sources: dict[str, str]) -> list[list[str]]:
 def _modules(source: str, path: str, known: dict[str, str]) -> set[str]:
     """The files of `known` that the module imports, itself left out."""
     out = set()
-    for name in [name for name, relative in imports(ast.parse(source), path) if relative]:
+    for name in [name for name, relative in imports(parsed(source), path) if relative]:
         places = [f"{place}{end}" for place in (name, name.rpartition("/")[0]) for end in (".py", "/__init__.py")]
         out.add(next((place for place in places if place in known), path))
     return out - {path}
@@ -126,20 +141,20 @@ def _modules(source: str, path: str, known: dict[str, str]) -> set[str]:
 
 def own_names(source: str, path: str) -> list[str]:
     """Absolute imports of our own packages: they would load every module a second time."""
-    return [f"imports {name}" for name, relative in imports(ast.parse(source), path) if not relative and name.split(".")[0] in OURS]
+    return [f"imports {name}" for name, relative in imports(parsed(source), path) if not relative and name.split(".")[0] in OURS]
 
 
 def network(source: str, path: str) -> list[str]:
     """Network modules: the extension asks for no network permission."""
-    return [f"imports {name}" for name, relative in imports(ast.parse(source), path) if not relative and name.split(".")[0] in NETWORK]
+    return [f"imports {name}" for name, relative in imports(parsed(source), path) if not relative and name.split(".")[0] in NETWORK]
 
 
 def unsafe(source: str, path: str) -> list[str]:
     """Ways to run what a file says: eval, exec, pickles, a shell; and numpy files opened without `allow_pickle=False`."""
-    tree = ast.parse(source)
+    tree = parsed(source)
     found = [f"imports {name}" for name, relative in imports(tree, path) if not relative and name.split(".")[0] in UNSAFE]
     for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
-        name = ast.unparse(call.func)
+        name = dotted(call.func)
         keywords = {keyword.arg: keyword.value for keyword in call.keywords}
         if name in ("eval", "exec", "__import__", "os.system", "os.popen"):
             found.append(f"calls {name} in line {call.lineno}")
@@ -154,10 +169,10 @@ def unsafe(source: str, path: str) -> list[str]:
 
 def hidden_state(source: str, path: str) -> list[str]:
     """Randomness that no generator was passed for, unbuffered sums, and code that looks for its own place on the disk."""
-    tree = ast.parse(source)
+    tree = parsed(source)
     found = [f"imports {name}" for name, relative in imports(tree, path) if not relative and name == "random"]
     for node in ast.walk(tree):
-        text = ast.unparse(node) if isinstance(node, ast.Attribute | ast.Name) else ""
+        text = dotted(node)
         legacy = re.fullmatch(r"(?:np|numpy)\.random\.([a-z]\w*)", text)
         if (legacy and legacy[1] != "default_rng") or text in ("np.add.at", "numpy.add.at", "__file__", "sys.path"):
             found.append(f"uses {text} in line {node.lineno}")
@@ -166,17 +181,15 @@ def hidden_state(source: str, path: str) -> list[str]:
 
 def prints(source: str, path: str) -> list[str]:
     """Printing below the line: a method speaks through its result and its notices only."""
-    calls = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call))
-    return [
-        f"prints in line {call.lineno}" for call in calls if ast.unparse(call.func) in ("print", "sys.stdout.write", "sys.stderr.write")
-    ]
+    calls = (node for node in ast.walk(parsed(source)) if isinstance(node, ast.Call))
+    return [f"prints in line {call.lineno}" for call in calls if dotted(call.func) in ("print", "sys.stdout.write", "sys.stderr.write")]
 
 
 def offsets(source: str, path: str) -> list[str]:
     """Rays moved off their surface anywhere but in the two functions `lifted`; the sphere around the scene may ask how far that is."""
     if path in ("adjoint_gi/core/scene/world.py", "adjoint_gi/core/scene/faces.py", "adjoint_gi/core/lights/base.py"):
         return []
-    nodes = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Attribute) and node.attr == "offset")
+    nodes = (node for node in ast.walk(parsed(source)) if isinstance(node, ast.Attribute) and node.attr == "offset")
     return [f"reads {ast.unparse(node)} in line {node.lineno}" for node in nodes if ast.unparse(node.value).endswith("world")]
 
 
@@ -184,20 +197,22 @@ def version_checks(source: str, path: str) -> list[str]:
     """Comparisons of Blender's version outside the one file that is for them."""
     if path == "adjoint_gi/bridge/host/versions.py":
         return []
-    nodes = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Attribute))
-    return [f"reads {text} in line {node.lineno}" for node in nodes if (text := ast.unparse(node)) in ("bpy.app.version", "app.version")]
+    nodes = (node for node in ast.walk(parsed(source)) if isinstance(node, ast.Attribute))
+    return [f"reads {text} in line {node.lineno}" for node in nodes if (text := dotted(node)) in ("bpy.app.version", "app.version")]
 
 
 def overrides(source: str, path: str) -> list[str]:
     """`temp_override` outside the two files where no thread can be at work: with one it crashes Blender (docs/architecture.md)."""
     if path in ("adjoint_gi/bridge/cli/demo.py", "adjoint_gi/bridge/comparison/cycles_reference.py"):
         return []
-    nodes = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Attribute))
+    nodes = (node for node in ast.walk(parsed(source)) if isinstance(node, ast.Attribute))
     return [f"uses it in line {node.lineno}" for node in nodes if node.attr == "temp_override"]
 
 
 def identifiers(source: str, path: str) -> list[str]:
     """Names that cannot be typed or searched for on every keyboard."""
+    if source.isascii():
+        return []
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
     return [
         f"name {token.string!r} in line {token.start[0]}" for token in tokens if token.type == tokenize.NAME and not token.string.isascii()
@@ -242,6 +257,7 @@ def tracked() -> list[str]:
     return sorted(path.as_posix() for path in paths if path.parts[0] not in made and not path.parts[0].startswith(".venv"))
 
 
+@functools.cache
 def read(path: str) -> str:
     return (ROOT / path).read_text(encoding="utf-8")
 

@@ -39,6 +39,7 @@ from adjgi.adjoint_gi.bridge.cli.main import console
 console()
 """
 IS_WHEEL = not bpy.app.binary_path
+CHECK = ("check", "--resolution", 32)
 needs_wheel = pytest.mark.skipif(not IS_WHEEL, reason="the console command belongs to the bpy wheel; this is a Blender program")
 
 
@@ -201,12 +202,12 @@ def test_a_file_that_blender_could_not_open_is_refused_by_every_command(register
     with pytest.raises(RuntimeError):
         bpy.ops.wm.open_mainfile(filepath=str(tmp_path / name))
     out = tmp_path / "out"
-    for arguments in (("bake", "--output", out), ("check",), ("compare", "--output", out)):
+    for arguments in (("bake", "--output", out), CHECK, ("compare", "--output", out)):
         code, _, err = command(*arguments)
         assert code == 2 and f"{tmp_path / name}: could not be opened" in err, err
     assert not out.exists()
-    assert command("check", blend)[0] == 0, "a scene named after the command is opened"
-    assert command("check")[0] == 0, "and is the open one then"
+    assert command(*CHECK, blend)[0] == 0, "a scene named after the command is opened"
+    assert command(*CHECK)[0] == 0, "and is the open one then"
 
 
 @pytest.mark.parametrize(
@@ -222,10 +223,10 @@ def test_a_file_that_blender_could_not_open_is_refused_by_every_command(register
 def test_the_scene_of_the_start_is_refused_unless_a_script_may_have_built_it(tmp_path, monkeypatch, words, accepted):
     box()
     monkeypatch.setattr(sys, "argv", ["blender", *words, "adjoint_gi", "check", "--python"])
-    code, _, err = command("check")
+    code, _, err = command(*CHECK)
     assert code == (0 if accepted else 2) and ("no .blend file is open" in err) != accepted
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "box.blend"))
-    assert command("check")[0] == 0
+    assert command(*CHECK)[0] == 0
 
 
 def test_handlers_come_and_go_with_the_extension():
@@ -248,12 +249,12 @@ def test_file_saved_in_edit_mode_is_baked(tmp_path):
 
 def test_check_finds_without_baking(tmp_path):
     scene = box()
-    code, out, _ = command("check", "--output", tmp_path)
+    code, out, _ = command(*CHECK, "--output", tmp_path)
     assert code == 0 and "0 errors" in out and "of memory" in out
     bpy.data.objects.remove(scene.objects["Lamp"])
-    code, out, _ = command("check", "--output", tmp_path)
+    code, out, _ = command(*CHECK, "--output", tmp_path)
     assert code == 0 and "nothing emits light" in out and "1 warnings" in out
-    code, out, _ = command("check", "--target", "attribute", "--objects", "Camera")
+    code, out, _ = command(*CHECK, "--target", "attribute", "--objects", "Camera")
     assert code == 2 and "error: Camera: is a camera, not a mesh" in out
     assert list(tmp_path.iterdir()) == []
 

@@ -37,6 +37,15 @@ WALLS = {
 }
 
 
+@pytest.fixture(scope="module")
+def filled(request):
+    """One cavity for both tests of it, which pytest runs one after the other."""
+    return cavity(WALLS[request.param])
+
+
+every_wall = pytest.mark.parametrize("filled", WALLS, indirect=True)
+
+
 def cavity(lobes):
     """A cube of one material and its directional emission, (n, 3) radiance towards directions (n, 3)."""
     b = SceneBuilder()
@@ -102,9 +111,9 @@ def check(total):
     assert (np.abs(mean - 1) < 4 * error + 0.002).all(), f"radiance {mean} +- {error}, not 1"
 
 
-@pytest.mark.parametrize("name", WALLS)
-def test_walks_find_radiance_one(name):
-    world, table, emission = cavity(WALLS[name])
+@every_wall
+def test_walks_find_radiance_one(filled):
+    world, table, emission = filled
     paths = radiance.Walk(world, Emitters(world), table, 0, 200, roulette_from=8, draw_lights=False, emission=emission)
     rng = np.random.default_rng(1)
     surface, wo = start(world, 40_000, rng)
@@ -128,10 +137,10 @@ def test_distributed_rays_find_radiance_one():
     check((own + found.direct + found.indirect).astype(float))
 
 
-@pytest.mark.parametrize("name", WALLS)
-def test_particles_bring_the_irradiance_of_radiance_one(name):
+@every_wall
+def test_particles_bring_the_irradiance_of_radiance_one(filled):
     """T8 by shooting: particles that leave the walls as 1 - a(theta) bring the irradiance pi to every wall."""
-    world, table, emission = cavity(WALLS[name])
+    world, table, emission = filled
     rng = np.random.default_rng(3)
     n = 60_000
     # Points uniform on the walls, directions by the cosine: each stands for an equal share of pi times area, times what is emitted there.
