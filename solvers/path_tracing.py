@@ -10,7 +10,8 @@ switch, so that its effect can be seen: directions drawn by the BRDF instead of 
 their power (`light_importance`), both joined by weights (`joined`; Veach and Guibas 1995), and even numbers over the first surfaces
 (`stratified`). Paths end at random once they carry little (roulette), which keeps the mean.
 
-Scenes of diffuse surfaces alone have cheaper vertices (`core.walks.diffuse_paths`) than scenes with other lobes (`core.walks.radiance`).
+Receivers of irradiance, and all surfaces of scenes that are diffuse alone, have cheaper vertices (`core.walks.diffuse_paths`) than surfaces
+with other lobes (`core.walks.radiance`).
 
 J. T. Kajiya, "The Rendering Equation", SIGGRAPH 1986, 143-150.
 """
@@ -58,7 +59,7 @@ class PathSettings(base.Settings):
         True, "Join Both", "Weigh light points against lights that paths meet. Off: light points alone, where they are on"
     )
     stratified: bool = setting(
-        True, "Stratified", "Sobol numbers for the first surfaces of paths in diffuse scenes. Off: independent numbers"
+        True, "Stratified", "Sobol numbers for the first surfaces of paths in diffuse scenes, in others for receivers. Off: independent numbers"
     )
 
     @property
@@ -101,7 +102,7 @@ class PathTracing(Solver):
         emitters = Emitters(world)
         walk = walk_of(world, emitters, settings)
         run = Run(self.spec, world, receivers, settings, emitters, notices(emitters, settings) + unmet_lamps.notices(emitters))
-        if walk.table.only_diffuse and settings.plain:
+        if settings.plain and (walk.table.only_diffuse or not run.is_camera):
             tracer = PathTracer(walk, receivers, trace, tuple(int(x) for x in rng.integers(0, 2**32, 4)))
             yield from run.sample_batches(tracer.batch, settings.samples, batches(receivers.count, settings.samples, even=True))
         else:

@@ -1,7 +1,8 @@
 """Paths through scenes that are diffuse all over: cheaper vertices for the walk of `paths`, and batches of paths from receivers.
 
 A vertex looks up no BSDF: directions are drawn by the cosine, and reflectance is an albedo that goes into the weights of the paths. Its
-random numbers are low-discrepancy ones at the first surfaces. Vectors are component first, (3, n) float32.
+random numbers are low-discrepancy ones at the first surfaces. Where irradiance is wanted the receiver is such a vertex in any scene.
+Vectors are component first, (3, n) float32.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from ..scene.arrays import RayKind
 from ..scene.terminator import Edge
 from .gathering import Sums
 from .paths import Gathered, Paths, Ray, Walk
+from .radiance import LobeVertices, arrived
 from .sight import see
 
 ONE = np.float32(1)
@@ -74,6 +76,18 @@ class DiffuseVertices:
         return DiffuseVertices(self.walk, origin, ng, ns, later.at(path, rng), later, faces.edge(triangle, u, v, ng, ns))
 
 
+class WhiteVertices(DiffuseVertices):
+    """Receivers of irradiance in scenes with other lobes, which paths meet from the next vertex on. Irradiance is what a white surface
+    sends, times pi, which is in the weights of the paths."""
+
+    def reflectance(self, hit: Hit, rows: np.ndarray) -> None:
+        """The rays' weights from there on have it."""
+
+    def arrive(self, ray: Ray, hit: Hit, rows: np.ndarray, path: np.ndarray, rng: np.random.Generator) -> LobeVertices:
+        """The vertices where rays `rows` (m,) hit."""
+        return arrived(self.walk, ray, hit, rows)
+
+
 @dataclass(frozen=True, eq=False)
 class Numbers:
     """Random numbers of vertex `k` of paths: low-discrepancy ones of `points` (VERTEX * STRATIFIED, paths) first, then others.
@@ -97,12 +111,13 @@ class Numbers:
 
 
 class PathTracer:
-    """Traces batches of paths in a world; safe to use from several threads at once."""
+    """Traces batches of paths in a world; safe to use from several threads at once. With a camera, in scenes of diffuse surfaces only."""
 
     def __init__(self, walk: Walk, receivers: Receivers, trace: Callable[[Paths], Gathered], seed: tuple[int, ...]) -> None:
         """`trace` takes the steps of paths. `seed`: whole numbers from which the numbers of every batch follow."""
         self.walk, self.receivers, self.trace, self.seed = walk, receivers, trace, seed
         self.emitters, self.faces = walk.emitters, walk.faces
+        self.vertices = DiffuseVertices if walk.table.only_diffuse else WhiteVertices
 
     def batch(self, item: tuple[int, int, int, int]) -> Sums:
         """Samples of `item` (first receiver, last, samples, index of the first sample); the same item gives the same bits."""
@@ -140,7 +155,7 @@ class PathTracer:
             scale = ONE / PI
         later = Numbers(numbers[SITE:, rows])
         origin, edge = self.faces.lifted(position, ng, triangle), self.faces.edge(triangle, u, v, ng, ns)
-        vertices = DiffuseVertices(self.walk, origin, ng, ns, later.at(triangle, rng), later, edge)
+        vertices = self.vertices(self.walk, origin, ng, ns, later.at(triangle, rng), later, edge)
         found = self.trace(Paths(self.walk, vertices, rng, weight=throughput, unit=scale))
         lit[0][:, rows], lit[1][:, rows] = found.direct.T, found.indirect.T
         rays += found.rays

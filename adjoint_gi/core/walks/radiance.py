@@ -79,9 +79,14 @@ class LobeVertices:
 
     def arrive(self, ray: Ray, hit: Hit, rows: np.ndarray, path: np.ndarray, rng: np.random.Generator) -> LobeVertices:
         """The vertices where rays `rows` (m,) hit."""
-        wo = np.ascontiguousarray(-ray.wi.take(rows, axis=1).T)
-        surface = self.walk.world.surface(*(a.take(rows) for a in hit[:3]), wo)
-        return LobeVertices(self.walk, surface, lobes_of(self.walk, surface, wo))
+        return arrived(self.walk, ray, hit, rows)
+
+
+def arrived(walk: Walk, ray: Ray, hit: Hit, rows: np.ndarray) -> LobeVertices:
+    """The vertices where rays `rows` (m,) hit, seen from where they come from."""
+    wo = np.ascontiguousarray(-ray.wi.take(rows, axis=1).T)
+    surface = walk.world.surface(*(a.take(rows) for a in hit[:3]), wo)
+    return LobeVertices(walk, surface, lobes_of(walk, surface, wo))
 
 
 def start(walk: Walk, surface: Surface, wo: np.ndarray | None) -> tuple[LobeVertices, np.float32]:
