@@ -59,7 +59,9 @@ class PathSettings(base.Settings):
         True, "Join Both", "Weigh light points against lights that paths meet. Off: light points alone, where they are on"
     )
     stratified: bool = setting(
-        True, "Stratified", "Sobol numbers for the first surfaces of paths in diffuse scenes, in others for receivers. Off: independent numbers"
+        True,
+        "Stratified",
+        "Sobol numbers for the first surfaces of paths in diffuse scenes, in others for receivers. Off: independent numbers",
     )
 
     @property

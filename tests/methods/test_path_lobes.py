@@ -166,3 +166,18 @@ def test_light_points_and_rays_share_what_comes_through_rough_glass(emitter, kin
     error = np.hypot(a, b)
     assert error < 0.004 * rays
     assert abs(joined - rays) < 4 * error
+
+
+def test_texels_have_even_numbers_in_every_scene():
+    """Direct light on a floor has as little noise beside a polished ball as without, because the receivers are the same."""
+
+    def lit(material: Material) -> np.ndarray:
+        b = SceneBuilder()
+        b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), diffuse("Floor", 0.5))
+        b.quad("Far", (50, 50, 0), (0.1, 0, 0), (0, 0.1, 0), material)
+        b.quad("Panel", (-0.5, -0.5, 1), (0, 1, 0), (1, 0, 0), diffuse("Panel", 0.0, 1.0))
+        world = World(b.build())
+        return solve(world, scattered(world, 500, triangles=np.arange(world.triangle_count) < 2), samples=16).direct
+
+    plain, beside = lit(diffuse("Matt", 0.5)), lit(Material("Polished", (Lobe("glossy", Color.of(0.9), 0.1),)))
+    np.testing.assert_allclose(beside, plain, rtol=1e-4, atol=1e-6)

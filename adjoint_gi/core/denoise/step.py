@@ -17,9 +17,10 @@ from .ground import Ground
 from .wavelets import known_error, smoothed, spread_out
 
 PARTS = ("direct", "indirect")
-CLEAN, NOISY = 0.02, 0.10  # relative standard errors between which a receiver's own value gives way to the smoothed one
+CLEAN, NOISY = 0.005, 0.02  # relative standard errors between which a receiver's own value gives way to the smoothed one
 
 AROUND = 3  # levels over which noise is averaged: some seven receivers to each side
+NEAR = 2  # levels over which noise is compared with what smoothing changes: some three receivers to each side
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,9 @@ def denoised(solution: Solution, ground: Ground, denoiser: Denoiser) -> Solution
     if not noisy:
         return solution
     found = denoiser([layers[k] for k in noisy])
-    parts = {layers[k].name: merged(layers[k], x, shares[k], ground) for k, x in zip(noisy, found, strict=True)}
+    parts = {}
+    for k, smooth in zip(noisy, found, strict=True):
+        parts[layers[k].name] = merged(layers[k], smooth, shares[k] * trusted(layers[k], smooth, ground), ground)
     return replace(solution, **parts)
 
 
@@ -71,16 +74,34 @@ def noisy_share(layer: NoisyLight, ground: Ground) -> np.ndarray:
     value = spread_out(layer.values.sum(axis=1, dtype=np.float64), ground, layer.valid, AROUND)
     around = np.sqrt(spread_out(error**2, ground, layer.valid, AROUND))
     if layer.name == "indirect":
-        many = int(ground.piece.max(initial=0)) + 1
-
-        def mean(values: np.ndarray, of: np.ndarray) -> np.ndarray:
-            sums, counts = np.bincount(ground.piece, values * of, many), np.bincount(ground.piece, of, many)
-            return (sums / np.maximum(counts, 1))[ground.piece]
-
-        value, around = mean(value, layer.valid), np.sqrt(mean(around**2, layer.valid))
+        value, around = _of_pieces(value, layer, ground), np.sqrt(_of_pieces(around**2, layer, ground))
     relative = around / np.maximum(value, 1e-30)
     share = np.clip((relative - CLEAN) / (NOISY - CLEAN), 0, 1)
     return np.where(layer.valid & (value > 0), share, 0)
+
+
+def trusted(layer: NoisyLight, smooth: np.ndarray, ground: Ground) -> np.ndarray:
+    """(n,) float64 in 0..1: the share of `smooth` (n, 3) that makes the error least.
+
+    Values have a variance V and no bias, smoothed ones a bias b and hardly a variance: the error of w smooth + (1 - w) values is least for
+    w = V / (V + b^2), and what smoothing changes is V + b^2 in the mean. So edges of shadows give way only as far as they are noise, and
+    with more samples the result converges. Of indirect light, of whose variance a receiver's few bright samples tell little, all in a
+    piece get the same share.
+    """
+    error = known_error(layer.values, layer.error, ground, layer.valid)
+    changed = (smooth - layer.values).sum(axis=1, dtype=np.float64)
+    if layer.name == "indirect":
+        variance, change = (_of_pieces(x**2, layer, ground) for x in (error, changed))
+    else:
+        variance, change = (spread_out(x**2, ground, layer.valid, NEAR) for x in (error, changed))
+    return np.where(change > variance, variance / np.maximum(change, 1e-300), 1.0)
+
+
+def _of_pieces(values: np.ndarray, layer: NoisyLight, ground: Ground) -> np.ndarray:
+    """(n,) float64 means of `values` (n,) over the valid receivers of each piece."""
+    many = int(ground.piece.max(initial=0)) + 1
+    sums, counts = np.bincount(ground.piece, values * layer.valid, many), np.bincount(ground.piece, layer.valid, many)
+    return (sums / np.maximum(counts, 1))[ground.piece]
 
 
 def merged(layer: NoisyLight, smooth: np.ndarray, share: np.ndarray, ground: Ground) -> np.ndarray:
