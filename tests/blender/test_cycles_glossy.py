@@ -118,7 +118,7 @@ SAME = {
     "mirror": shader(GLOSSY, Color=GOLD, Roughness=0.0),
     "glossy 0.2": shader(GLOSSY, Color=GOLD, Roughness=0.2),
     "glossy 0.5": shader(GLOSSY, Color=GOLD, Roughness=0.5),
-    "glossy 1": shader(GLOSSY, Color=GOLD, Roughness=1.0),
+    "glossy 1.0": shader(GLOSSY, Color=GOLD, Roughness=1.0),
     "glass": shader(GLASS, Color=GREY, Roughness=0.0, IOR=1.5),
     "glass 0.3": shader(GLASS, Color=GREY, Roughness=0.3, IOR=1.5),
     "refraction": shader(REFRACTION, Color=GREY, Roughness=0.0, IOR=1.45),

@@ -116,7 +116,7 @@ def test_partial_sums_of_the_furnace(split_depth, joined):
     # Light rays alone are too noisy in the corners of a cube, where walls that shine touch: a ball of triangles is as exact.
     world = World(scenes.cube(0.5, 1.0) if joined else scenes.two_zone_sphere(3, (1.0, 1.0), (0.5, 0.5)))
     rng = np.random.default_rng(3)
-    n = 1200
+    n = ((1200, 400, 300) if joined else (1200, 400, 800))[split_depth]  # for a standard error of 0.35 % at most
     u, v = rng.random((2, n))
     flip = u + v > 1
     u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)

@@ -40,7 +40,8 @@ def check(values, exact, bias=0.0, resolution=0.003):
 @pytest.mark.parametrize(("rho", "roulette"), [(0.5, True), (0.5, False), (0.8, True), (0.8, False)])
 def test_furnace(rho, roulette):
     world = World(scenes.cube(rho, 1.0))
-    s = solve(world, scattered(world, 2000), roulette=roulette, max_length=200 if roulette else 50)
+    count, longest = (2000, 200) if roulette else (800, 50)
+    s = solve(world, scattered(world, count), roulette=roulette, max_length=longest)
     check(s.quantity("radiosity"), [1 / (1 - rho)] * 3, resolution=0.002)
     check(s.direct, [1.0] * 3)
     check(s.indirect, [1 / (1 - rho) - 1] * 3)
@@ -143,7 +144,7 @@ def test_snowman(c, rho):
     lower = scene.object == 0
     room = solve(world, scattered(world, 1500, triangles=lower), samples=64, max_length=200)
     check(room.quantity("radiosity"), [a] * 3, bias=0.002)
-    other = solve(world, scattered(world, 1500, triangles=~lower), samples=256, max_length=200)
+    other = solve(world, scattered(world, 1500, triangles=~lower), samples=96, max_length=200)
     check(other.quantity("radiosity"), [b] * 3, bias=0.003, resolution=0.006)
 
 
@@ -319,7 +320,7 @@ def test_reported_error_is_about_the_true_one():
     scene = scenes.lit_cube(0.7)
     world = World(scene)
     receivers = scattered(world, 600)
-    exact = solve(world, receivers, samples=2048, seed=99).quantity("irradiance").astype(float)
+    exact = solve(world, receivers, samples=1024, seed=99).quantity("irradiance").astype(float)
     s = solve(world, receivers, samples=128)
     true = np.sqrt(np.mean((s.quantity("irradiance") - exact).sum(axis=1) ** 2)) / exact.sum(axis=1).mean()
     seconds, reported = s.history[-1]
