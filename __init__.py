@@ -9,10 +9,11 @@ def _parts() -> tuple:
     from .adjoint_gi.bridge.cli import main as cli
     from .adjoint_gi.bridge.comparison import records as compare_records
     from .adjoint_gi.bridge.engine import render_engine as engine
+    from .adjoint_gi.bridge.extract import scene_store
     from .adjoint_gi.bridge.host import background, changes, compositor, preferences
     from .adjoint_gi.bridge.props import properties
 
-    return (properties, compare_records, preferences, background, changes, compositor, check, operators, engine, panels, cli)
+    return (properties, compare_records, preferences, background, changes, scene_store, compositor, check, operators, engine, panels, cli)
 
 
 def register() -> None:

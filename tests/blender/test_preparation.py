@@ -10,11 +10,10 @@ import time
 import bpy
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.bridge.baking import bake as baking
 from adjgi.adjoint_gi.bridge.baking import preflight, textures
 from adjgi.adjoint_gi.bridge.baking.bake import Bake
 from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
-from adjgi.adjoint_gi.bridge.extract import depsgraph, mesh
+from adjgi.adjoint_gi.bridge.extract import depsgraph, mesh, scene_store
 from adjgi.adjoint_gi.bridge.host import background
 from adjgi.adjoint_gi.bridge.host.preparation import Aside, Preparation, finish_stages, once
 from adjgi.adjoint_gi.bridge.results import faces
@@ -256,7 +255,7 @@ def test_all_that_needs_no_blender_runs_aside(scene, monkeypatch):
         (mesh, "_usable"),
         (mesh, "_normals"),
         (faces, "Mesh"),
-        (baking, "World"),
+        (scene_store, "World"),
         (preflight.openness, "notices"),
         (textures, "rasterize"),
     ):

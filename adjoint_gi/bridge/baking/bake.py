@@ -24,9 +24,9 @@ from ...core.flux.density import Given
 from ...core.method.driver import Driver
 from ...core.method.solution import Solution
 from ...core.scene.arrays import SceneArrays
-from ...core.scene.world import World
 from ..extract.depsgraph import extracting
 from ..extract.images import reading, return_images
+from ..extract.scene_store import SCENES
 from ..host import files
 from ..host.preparation import Aside, Stages, finish_stages, once
 from ..props.request import BakeRequest, raise_first
@@ -178,7 +178,7 @@ def _attempting(request: BakeRequest, said: list[Notice], names: dict[str, str])
         names.update(real.left_out)
         said[:] = [*real.fitting(notices), *real.notices, *_checked(real, request)]
         arrays, same = yield from _extracting(request, real)
-        world = yield Aside("Building the tree of rays", once(lambda: World(arrays)))
+        world = yield Aside("Building the tree of rays", once(lambda: SCENES.world(arrays)))
         same()
         found = yield from inspecting(world, request)
         same()
@@ -197,7 +197,7 @@ def _attempting(request: BakeRequest, said: list[Notice], names: dict[str, str])
             said += made.notices
             yield "Reading the scene again"
             arrays, same = yield from _extracting(request, real)
-            world = yield Aside("Building the tree of rays", once(lambda: World(arrays)))
+            world = yield Aside("Building the tree of rays", once(lambda: SCENES.world(arrays)))
             same()
 
         # Step 3: receivers and the driver.

@@ -26,6 +26,7 @@ from ...core.walks import openness
 from ..extract.camera import NO_PICTURE, render_size
 from ..extract.depsgraph import extracting
 from ..extract.images import reading, return_images
+from ..extract.scene_store import BYTES_A_TRIANGLE, SCENES
 from ..host import files
 from ..host.notices import Notices, listed
 from ..host.preparation import Aside, Stages, finish_stages, once
@@ -43,7 +44,6 @@ from .watch import unchanged
 QUICK = 300_000  # triangles above which the panel's check does not extract the scene
 LEFT_OUT = ("and is left out", "so it is left out")  # words of the extraction for a whole object that is not there
 SEPARATE = "its result goes to an object of its own, as New Object does it"  # words about an attribute that the mesh cannot hold
-BYTES_A_TRIANGLE = 900  # arrays, rows of the world and Embree's tree, measured on zdm2
 
 
 def preflight(context: bpy.types.Context, request: BakeRequest, thorough: bool = False) -> list[Notice]:
@@ -70,7 +70,7 @@ def preflighting(context: bpy.types.Context, request: BakeRequest, thorough: boo
         arrays = yield from extracting(size)
     finally:
         return_images()
-    world = yield Aside("Building the tree of rays", once(lambda: World(arrays)))
+    world = yield Aside("Building the tree of rays", once(lambda: SCENES.world(arrays)))
     same()
     found = yield from inspecting(world, request)
     same()

@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import bpy
 
+from ...core.base.digest import digest
 from ...core.base.steps import Steps, finish, within
 from ...core.scene.arrays import Camera, Light, Material, Rgb, SceneArrays
 from ...core.scene.texture import Texture
@@ -24,6 +25,7 @@ from .instances import InstanceWalk
 from .lights import read_lights
 from .materials import Materials
 from .placed import Group, Walked, place
+from .scene_store import SCENES
 from .unsupported import name_bright_attributes, name_missing_layers
 from .world import read_world
 
@@ -51,7 +53,8 @@ def extract(
 
 
 def extracting(resolution: tuple[int, int] | None = None, real: Mapping[str, bpy.types.Object] | None = None) -> Stages[SceneArrays]:
-    """`extract` of the scene of the context in slices: Blender is asked a little at a time, and what is computed runs aside.
+    """`extract` of the scene of the context in slices: Blender is asked a little at a time, and what is computed runs aside, or is kept
+    from the last time, if Blender says the same.
 
     Where something changes in the scene meanwhile, it is read anew, after some times at once.
     """
@@ -68,7 +71,7 @@ def extracting(resolution: tuple[int, int] | None = None, real: Mapping[str, bpy
                 # What is shown for the moment is evaluated for it, and gone afterwards.
                 at_once = last or changes.count() != now[0]
                 if reading.go_on(depsgraph, lambda: not at_once and time.monotonic() - began > SLICE):  # noqa: B023
-                    return (yield Aside("Placing the meshes", reading.arranging()))
+                    return (yield Aside("Placing the meshes", SCENES.arranged(reading.key, reading.arranging)))
             yield "Reading the scene"
     raise AssertionError("the last attempt reads all at once")
 
@@ -104,6 +107,13 @@ class Reading:
         made, textures, default_color = materials.result(), materials.textures(), materials.colors.uses_default_attribute
         self._copied = Copied(scene.name, walk.walked(), default_color, made, textures, lights, background, camera)
         return True
+
+    def key(self) -> bytes:
+        """A digest of what was copied. Needs no Blender."""
+        copied = self._copied
+        assert copied is not None
+        rest = [getattr(copied, f.name) for f in fields(copied) if f.name != "walked"]
+        return digest((copied.walked.key(), *rest, self._notices.result()))
 
     def arranging(self) -> Steps[SceneArrays]:
         """The arrays of what was copied, which is gone afterwards. Needs no Blender."""

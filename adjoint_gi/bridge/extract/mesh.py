@@ -9,6 +9,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ...core.base.digest import digest
 from ..host.meshes import copied, corner_vertices, material_slots, positions, selected, triangle_corners, triangle_polygons
 from ..host.notices import Notices
 
@@ -108,6 +109,10 @@ class MeshCopy:
                 if over():
                     break
         return self.complete
+
+    def key(self) -> bytes:
+        """A digest of all that `arrays` depends on."""
+        return digest((self.name, self._ours, self._pieces))
 
     def arrays(self, notices: Notices) -> MeshArrays | None:
         """What was copied as `MeshArrays`; None (with a notice) where it has no usable face. The copy is empty then."""

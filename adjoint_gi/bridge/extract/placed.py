@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...core.base.digest import digest
 from ...core.base.steps import Steps
 from ...core.scene.arrays import ObjectArrays
 from ..host.notices import Notices
@@ -62,6 +63,13 @@ class Walked:
     bodiless: Set[int]
     faceless: Mapping[str, tuple[str, str]]
     metas: Set[str]
+
+    def key(self) -> bytes:
+        """A digest of all of it; that a mesh is elsewhere in memory does not count."""
+        number = {key: k for k, key in enumerate(self.meshes)}
+        visits = [replace(visit, mesh=number[visit.mesh]) for visit in self.visits]
+        meshes = [copy.key() for copy in self.meshes.values()]
+        return digest((meshes, visits, self.bodiless, self.faceless, self.metas))
 
     def grouping(self, notices: Notices) -> Steps[list[Group]]:
         """All groups with at least one instance, in the order of first appearance; a step a mesh. The copies are empty afterwards."""
