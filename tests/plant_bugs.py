@@ -1669,7 +1669,7 @@ BUGS = (
         "adjoint_gi/bridge/extract/depsgraph.py",
         "            if seen not in (None, now):",
         "            if seen is not None and False:",
-        "tests/blender/test_extract_slices.py -k 'change_between'",
+        "tests/blender/test_extract_slices.py -k change_between",
     ),
 )
 

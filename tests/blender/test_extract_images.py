@@ -363,3 +363,30 @@ def test_images_are_read_one_by_one_before_the_extraction(tmp_path, monkeypatch)
     arrays, told = notices()
     assert len(reads) == 4 and len(arrays.textures) == 4 and all("ranges" in t.__dict__ for t in arrays.textures)
     assert sum("premul" in t for t in told) == 1
+
+
+@pytest.mark.parametrize("kind", ["generated", "painted", "packed"])
+def test_images_without_a_file_of_their_own_are_read_before_the_extraction_and_anew_for_the_next_bake(tmp_path, monkeypatch, kind):
+    image_store.KNOWN.clear()
+    path = png(tmp_path / "a.png", (0.8, 0.4, 0.2, 1.0))
+    image = bpy.data.images.new("Made", 8, 8) if kind == "generated" else bpy.data.images.load(path)
+    if kind == "packed":
+        image.pack()
+    emitter(image)
+    image.pixels.foreach_set(np.full(len(image.pixels), 0.25, np.float32))
+    reads = read_count(monkeypatch)
+    finish_stages(images.reading(bpy.context))
+    assert len(reads) == 1
+    for _ in range(2):
+        arrays, _ = notices()
+        assert len(reads) == 1, "the extraction finds it known, and the one after layers were made, too"
+    assert {*arrays.textures[0].stored.ravel()} == {64}
+    # A check that was stopped in the middle has not returned the images.
+    image.pixels.foreach_set(np.full(len(image.pixels), 0.75, np.float32))
+    finish_stages(images.reading(bpy.context))
+    arrays, _ = notices()
+    assert len(reads) == 2 and {*arrays.textures[0].stored.ravel()} == {191}
+    images.return_images()
+    image.pixels.foreach_set(np.full(len(image.pixels), 0.5, np.float32))
+    arrays, _ = notices()
+    assert len(reads) == 3 and {*arrays.textures[0].stored.ravel()} == {128}

@@ -96,8 +96,8 @@ def test_many_slices_give_what_one_gives(scene, monkeypatch):
 
 def test_a_change_between_two_slices_has_the_scene_read_anew(scene, monkeypatch):
     def move(k):
-        if k == 20:
-            bpy.data.objects["Double"].location.x += 1.0
+        if k == 20:  # after it was copied
+            bpy.data.objects["Suzanne"].location.x += 1.0
 
     found, count = sliced(monkeypatch, move)
     assert same(found, at_once()) and count > 20

@@ -31,6 +31,7 @@ LARGEST_TOTAL = 2 << 30  # bytes that all textures together may take, also those
 MEAN_OF_NOTHING = (0.8, 0.8, 0.8, 1.0)  # for an image without pixels: Cycles' default grey
 LINEAR = {"Non-Color", "Linear Rec.709", "scene_linear", "Linear", "Raw"}
 ASSOCIATED = {"OPEN_EXR", "OPEN_EXR_MULTILAYER", "HDR", "DPX", "CINEON"}  # formats whose colours are stored times alpha
+HELD = ("FILE", "GENERATED")  # what Blender may hold the pixels of, painted or not
 GREY = "its place is taken by the grey 0.8"
 
 
@@ -87,7 +88,7 @@ class Images:
         return self._index[key]
 
     def knowing(self, image: bpy.types.Image, straight: bool) -> Stages[None]:
-        """Read it for who asks for it later, as `read` would with `straight`; nothing where it is known or was painted.
+        """Read it for who asks for it later, as `read` would with `straight`; nothing where it is known.
 
         Blender is asked in the first slice, and its floats are made to a texture aside.
         """
@@ -285,23 +286,26 @@ LENT = "lent"  # marks what is known of an image only until `return_images`
 
 
 def _lent(image: bpy.types.Image) -> tuple | None:
-    """What stands for the pixels of an image that Blender holds as they are in its file; None where they are others.
+    """What stands for the pixels of an image that Blender holds, or makes, while a bake is prepared; None where there are none.
 
-    Whatever sets pixels marks the image as changed, but a reload does not, so what is known by this is not kept for long.
+    A reload, or painting what is painted already, gives no sign, so what is known by this is never kept for another bake or check.
     """
-    if image.source != "FILE" or image.is_dirty or not image.has_data:
+    if image.source not in HELD or not (image.has_data or image.source == "GENERATED"):
         return None
-    return LENT, image.session_uid, image.name, image.colorspace_settings.name, image.alpha_mode
+    size = tuple(image.size) if image.has_data else (image.generated_width, image.generated_height, image.generated_type)
+    return LENT, image.session_uid, image.name, image.is_dirty, size, image.colorspace_settings.name, image.alpha_mode
 
 
 def return_images() -> None:
-    """The end of what `reading` was for: images that Blender holds are read again by who asks for them next."""
+    """The end of what `reading` was for: images that Blender holds, painted ones too, are read again by who asks for them next."""
     KNOWN.drop(LENT)
 
 
 def reading(context: bpy.types.Context) -> Stages[None]:
-    """Read the images of files on the objects of `context` and in its world that are not known yet, one in each slice; an extraction
-    finds them known then, and says what there is to say of them. Whoever calls it calls `return_images` when the bake is prepared."""
+    """Read the images on the objects of `context` and in its world that are not known yet, one in each slice; an extraction finds them
+    known then, and says what there is to say of them. Whoever calls it calls `return_images` when the bake is prepared: until then they
+    count as they were when they were read."""
+    return_images()  # what a check has left that was stopped in the middle
     context.view_layer.update()
     trees = {slot.material.node_tree for obj in context.view_layer.objects for slot in obj.material_slots if slot.material is not None}
     trees.add(context.scene.world.node_tree if context.scene.world is not None else None)
@@ -320,10 +324,10 @@ def _ranged(texture: Texture) -> Texture:
 
 
 def _images_of(tree: bpy.types.NodeTree, depth: int = 0) -> Iterator[tuple[bpy.types.Image, bool]]:
-    """Images of files in the nodes of `tree` and of its groups, down to a depth that no tree of a person has, and whether `is_straight`."""
+    """Single images in the nodes of `tree` and of its groups, down to a depth that no tree of a person has, and whether `is_straight`."""
     for node in tree.nodes:
         image, group = getattr(node, "image", None), getattr(node, "node_tree", None)
-        if image is not None and image.source == "FILE" and image.library is None:
+        if image is not None and image.source in HELD and image.library is None:
             yield image, is_straight(node)
         if group is not None and depth < 10:
             yield from _images_of(group, depth + 1)
