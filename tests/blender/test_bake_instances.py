@@ -348,3 +348,30 @@ def test_the_selection_goes_to_what_is_seen_of_an_instancer_and_comes_back(regis
     clear()
     BAKES.forget()
     assert user_data() == before
+
+
+CHANGES = {
+    "a corner": lambda m: setattr(m.vertices[0], "co", (9, 9, 9)),
+    "the material of a face": lambda m: setattr(m.polygons[1], "material_index", 1),
+    "a smooth face": lambda m: m.shade_smooth(),
+    "a place in a UV layer": lambda m: setattr(m.uv_layers["Map"].uv[2], "vector", (0.25, 0.5)),
+    "the name of a UV layer": lambda m: setattr(m.uv_layers["Map"], "name", "Other"),
+    "a color": lambda m: setattr(m.color_attributes["Paint"].data[1], "color", (0, 0, 1, 1)),
+}
+ROOF = [(0, 0, 0), (1, 0, 0), (1, 1, 1), (0, 1, 1), (2, 0, 2)], [(0, 1, 2, 3), (1, 4, 2)]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_whatever_light_could_depend_on_makes_another_mesh(change):
+    def made():
+        m = bpy.data.meshes.new("Roof")
+        m.from_pydata(*ROOF[:1], [], ROOF[1])
+        m.polygons.foreach_set("use_smooth", [False, False])
+        m.uv_layers.new(name="Map")
+        m.color_attributes.new("Paint", "FLOAT_COLOR", "CORNER")
+        return m
+
+    one, other = made(), made()
+    assert real.checksum(one) == real.checksum(other)
+    CHANGES[change](other)
+    assert real.checksum(one) != real.checksum(other)

@@ -176,6 +176,19 @@ def test_pictures_of_a_comparison_have_their_scales_from_the_errors(monkeypatch)
     assert errors[0] == pytest.approx(np.full(6, 0.5)) and limit == 2 * 0.5
 
 
+def test_what_any_method_has_computed_is_shown(monkeypatch):
+    """A method that has left out texels still shows those that the other has; what neither has is grey."""
+    drawn = []
+    monkeypatch.setattr(figures, "side_by_side", lambda *values: drawn.append(values))
+    one, other = solution(), dataclasses.replace(solution(), weight=np.array([1, 1, 0, 0], np.float32))
+    nothing = dataclasses.replace(one, weight=np.zeros(4, np.float32))
+    entries = [SimpleNamespace(label=str(i), solution=s) for i, s in enumerate((one, other, nothing))]
+    compare = SimpleNamespace(picture=lambda v: np.asarray(v, np.float32).reshape(2, 2, -1))
+    Compare.pictures(compare, SimpleNamespace(entries=entries, reference=None))
+    images, labels, _, covered = drawn[0]
+    assert (len(images), labels, covered.tolist()) == (2, ["0", "1"], [[True, True], [True, False]])
+
+
 def test_a_budget_of_rays_is_in_millions(registered):
     state = bpy.context.scene.adjoint_gi_compare
     state.budget, state.mega_rays = "rays", 2.0

@@ -313,7 +313,7 @@ def pixel(obj, path, key="irradiance"):
     return render(scene, path)[4, 4]
 
 
-def shining(m, strength=2.0, color=(1.0, 0.5, 0.25, 1.0)):
+def shining(m, strength=2.0, color=(1.0, 0.5, 0.0, 1.0)):
     inputs = m.node_tree.nodes["Principled BSDF"].inputs
     inputs["Emission Color"].default_value, inputs["Emission Strength"].default_value = color, strength
     return m
@@ -369,9 +369,9 @@ def glassy(m, weight=1.0):
 
 
 CLEAR = {
-    "emission": (lambda m: shining(m), LIT + 2.0 * np.array([1.0, 0.5, 0.25])),
+    "emission": (lambda m: shining(m), LIT + 2.0 * np.array([1.0, 0.5, 0.0])),
     "alpha 0": (lambda m: see_through(m, 0.0), np.full(3, 10.0)),
-    "alpha of an emitter": (lambda m: see_through(shining(m), 0.25), 0.25 * (LIT + 2.0 * np.array([1.0, 0.5, 0.25])) + 7.5),
+    "alpha of an emitter": (lambda m: see_through(shining(m), 0.25), 0.25 * (LIT + 2.0 * np.array([1.0, 0.5, 0.0])) + 7.5),
     "half transparent": (transparent_mix, 0.5 * LIT + 5.0),
     "glass": (glassy, np.full(3, 10.0)),
     "half glass": (lambda m: glassy(m, 0.5), 5.0 + 0.5 * 2.0 / np.pi),

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Registering adds what it says and unregistering leaves nothing behind, however often."""
 
+import os
+from types import SimpleNamespace
+
 import bpy
 import pytest
 
@@ -64,6 +67,20 @@ def test_unregistering_parts_twice_is_harmless(registered):
     for part in (check, background, properties):
         part.unregister()
     registered.register()
+
+
+@pytest.mark.parametrize(("wanted", "environment", "threads"), [(0, "", os.cpu_count()), (0, "2", 2), (3, "", 3), (3, "2", 3)])
+def test_threads_are_as_many_as_the_user_wants_or_else_the_environment_or_every_core(wanted, environment, threads, monkeypatch):
+    from adjgi.adjoint_gi.bridge.host import preferences
+    from adjgi.adjoint_gi.core.base.parallel import thread_count
+
+    chosen = SimpleNamespace(preferences=SimpleNamespace(threads=wanted))
+    addons = SimpleNamespace(preferences=SimpleNamespace(addons={preferences.base_package: chosen}))
+    monkeypatch.setattr(preferences, "bpy", SimpleNamespace(context=addons))
+    monkeypatch.setattr(preferences, "_ENVIRONMENT", environment)
+    monkeypatch.setenv("ADJOINT_GI_THREADS", "7")  # of the render before
+    preferences.apply_threads()
+    assert thread_count() == threads
 
 
 @pytest.mark.parametrize("name", ["strategy", "nature", "target", "quantity", "domain"])

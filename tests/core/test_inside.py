@@ -159,6 +159,8 @@ def test_texels_lose_the_points_inside_and_those_wholly_inside_are_not_covered()
     assert not lm.covered[whole].any() and lm.covered[none].all()
     many = np.zeros(256)
     many[lm.pixel] = np.diff(lm.receivers.start)
+    # A renderer that takes the mean over whole texels can be compared with those alone that lost none.
+    assert np.array_equal(lm.whole, many[lm.pixel] == 16) and plain.whole.all()
     assert np.all(many.reshape(16, 16)[none] == 16) and many.sum() / 16 == pytest.approx(256 - 0.8 * 8 * 2.56, rel=0.03)
     # How much of a texel lies on the surface is not asked of what stands on it.
     assert np.all(plain.share == 1) and np.all(lm.share[lm.covered] == 1)

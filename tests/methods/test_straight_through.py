@@ -15,6 +15,7 @@ from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.receivers.texels import join
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, RayKind, Source, Term, Texture
+from adjgi.adjoint_gi.core.scene.passing import MOST_GREY
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.sight import see
 from adjgi.tests import scenes
@@ -196,18 +197,22 @@ def test_tinted_cards_in_a_furnace_are_invisible(way):
 
 @pytest.mark.parametrize("way", COLOURED)
 def test_light_between_elements_takes_the_colour_of_sheets(way):
-    """Of a panel, and of the sky, over a black floor, all light taken from elements: it has exactly the colour of the sheet."""
+    """Of a panel, and of the sky, over a black floor, all light taken from elements: it has exactly the colour of the sheet.
+
+    The sheet takes more of light that is blue than of grey light; what it takes is counted.
+    """
     name, options = COLOURED[way]
     found = []
     for layers in (0, 1):
         b = under(sheet(TINT), None, layers)
-        b.quad("Panel", (-1, -1, 1.5), (0, 2, 0), (2, 0, 0), diffuse("Panel", 0.0, 2.0))
+        b.quad("Panel", (-1, -1, 1.5), (0, 2, 0), (2, 0, 0), diffuse("Panel", 0.0, (0.5, 1.0, 4.0)))
         for x, y, dx, dy in ((-1, -1, 2, 0), (1, -1, 0, 2), (1, 1, -2, 0), (-1, 1, 0, -2)):
             b.quad("Side", (x, y, 0), (dx, dy, 0), (0, 0, 1), diffuse("Black", 0.0))
-        b.background = (0.3, 0.3, 0.3)
-        found.append(
-            solve(name, World(b.build()), quad_points(*grid(2)), **options, max_edge=0.5, direct_light="elements").direct.mean(axis=0)
-        )
+        b.background = (0.15, 0.3, 1.2)
+        got = solve(name, World(b.build()), quad_points(*grid(2)), **options, max_edge=0.5, direct_light="elements")
+        found.append(got.direct.mean(axis=0))
+        lost = got.balance
+        assert lost.absorbed + lost.escaped + lost.unshot == pytest.approx(lost.emitted, rel=0.01 if "bins" in way else 1e-4)
     level = found[1] / found[0] / TINT
     assert level == pytest.approx(np.full(3, level.mean()), rel=1e-4)
     assert level.mean() == pytest.approx(1, rel=0.05)
@@ -238,6 +243,27 @@ def test_ten_nearly_clear_cards_hold_back_no_more_than_they_do(kind, way):
         options = options | {"max_edge": 2.0, "rays": {"matrix": 512, "progressive": 60_000}[way], "direct_light": "elements"}
         found.append(solve(name, World(scene), quad_points(*grid(2)), **options).direct.mean())
     assert found[1] / found[0] == pytest.approx(share, rel=0.04)  # with a chance of 0.98 a card: 0.82
+
+
+STOPPED = {  # the chance to pass, of rays between elements
+    "a coloured sheet": (sheet(TINT), 0.3),
+    "a clear sheet": (sheet(0.99), 0.99),
+    "the holes of a leaf": (NEARLY_CLEAR["holes"][0], 1.0),
+    "a haze": (NEARLY_CLEAR["haze"][0], MOST_GREY),
+    "a hologram": (sheet(1.0, Lobe("emission", Color.of(2.0))), MOST_GREY),
+    "more than there is": (sheet(1.0, Lobe("diffuse", Color.of(0.5))), MOST_GREY),
+}
+
+
+@pytest.mark.parametrize("kind", STOPPED)
+def test_some_rays_stop_at_all_that_sends_light(kind):
+    """Else nothing would be seen of it; those that pass carry what they would have had."""
+    material, chance = STOPPED[kind]
+    holes = Texture("Leaf", np.concatenate([np.ones((2, 2, 3)), np.zeros((2, 2, 1))], axis=2).astype(np.float32), interpolation="Closest")
+    passing = World(dataclasses.replace(under(material, None).build(), textures=(holes,))).passing
+    at = np.array([2, 3]), np.full(2, 0.25, np.float32), np.full(2, 0.5, np.float32)
+    assert passing.grey(*at) == pytest.approx(np.full(2, chance), rel=1e-6)
+    assert passing.grey(*at)[:, None] * passing.color(*at) == pytest.approx(passing.through(*at), rel=1e-6)
 
 
 @pytest.mark.parametrize("scheme", ["jacobi", "southwell"])
