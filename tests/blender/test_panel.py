@@ -31,7 +31,9 @@ class Layout:
         self.enabled = True
 
     def _inner(self, **_):
-        return Layout(self.drawn)
+        inner = Layout(self.drawn)
+        inner.enabled = self.enabled
+        return inner
 
     use_property_split = property(lambda self: None, lambda self, on: None)
 
@@ -46,6 +48,8 @@ class Layout:
     def _add(self, kind, what, icon="NONE"):
         assert icon in ICONS, icon
         self.drawn.append((kind, what))
+        if not self.enabled:
+            self.drawn.append(("locked", what))
 
     def label(self, text="", icon="NONE"):
         self._add("label", text, icon)
@@ -140,7 +144,19 @@ def test_refusal_names_object_reason_and_remedy(state, monkeypatch):
     layout = drawn(draw.bake)
     assert "Cube: has no UV layer" in layout.words and "Add one" in layout.words
     assert "Sun" not in layout.words
-    assert layout.names("operator") == ["adjoint_gi.bake"]
+    assert layout.names("operator") == layout.names("locked") == ["adjoint_gi.bake"]
+    show(monkeypatch, Notice("Cube", "is unusual", "", "warning"), Notice("Sun", "is fine", "", "info"))
+    assert not drawn(draw.bake).names("locked")
+
+
+def test_what_a_bake_is_asked_for_is_locked_while_it_runs(state, monkeypatch):
+    forms = draw.choice, draw.settings, draw.common_settings, draw.output
+    for running in (False, True):
+        monkeypatch.setattr(type(BAKES), "running", running)
+        for form in forms:
+            layout = drawn(form)
+            props = set(layout.names("prop"))
+            assert props and props & set(layout.names("locked")) == (props if running else set())
 
 
 def fake_job(monkeypatch, scene, **values):

@@ -18,6 +18,7 @@ from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material, RayKind
 from adjgi.adjoint_gi.core.scene.shading import Shading
 from adjgi.adjoint_gi.core.scene.substitutes import as_diffuse
 from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.adjoint_gi.core.walks.radiance import evenly
 
 C = Color.of
 ROUGH = {
@@ -241,6 +242,25 @@ def test_coloured_glass_reflects_white_with_a_dielectric_lobe(roughness, side):
         found.append([np.where(drawn.through == t, drawn.weight[:, 0], 0).astype(float) for t in (False, True)])
     for expected, got in ((found[0][0], found[1][0]), (0.36 * found[0][1], found[1][1])):
         assert abs(got.mean() - expected.mean()) < 4.5 * np.sqrt((got.var() + expected.var()) / n) + 1e-5
+
+
+@pytest.mark.parametrize("name", ["mirror", "mirror and diffuse", "glass and glossy"])
+def test_even_directions_carry_as_much_as_drawn_ones(name):
+    """Directions evenly over the sphere stand in for those of a finite density alone; what mirrors is still drawn by its share."""
+    mixed = {
+        "mirror": [Lobe("glossy", C(0.8), 0.0)],
+        "mirror and diffuse": [Lobe("glossy", C(0.6), 0.0), Lobe("diffuse", C(0.3))],
+        "glass and glossy": [Lobe("glass", C(0.5), 0.0, 1.5), Lobe("glossy", C(0.4), 0.6)],
+    }
+    rng = np.random.default_rng(4)
+    lobes = lobes_at(mixed[name], view(0.7, 40_000))
+    drawn = bsdf.sample(lobes, rng)
+    even = evenly(lobes, drawn, rng)
+    assert np.array_equal(even.weight[drawn.delta], drawn.weight[drawn.delta])
+    assert even.weight.mean() == pytest.approx(drawn.weight.mean(), rel=0.03)
+    drawn_so = ~drawn.delta
+    if drawn_so.any():  # the density is of those directions too that mirror
+        assert even.pdf_w[drawn_so] * 4 * np.pi == pytest.approx(np.full(drawn_so.sum(), drawn_so.mean()), rel=0.03)
 
 
 def test_transparent_goes_straight_on():

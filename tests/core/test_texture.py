@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Textures of bytes and halves give the values of float ones, bit for bit, and smaller copies their means."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.base.color import decode_srgb
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder
 from adjgi.adjoint_gi.core.scene import texture as textures
+from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material, Source, Term
+from adjgi.adjoint_gi.core.scene.shading import LARGEST_EMISSION, Shading
 from adjgi.adjoint_gi.core.scene.texture import Texture, as_bytes, compact, sample_texture, shrunk
 
 
@@ -116,3 +121,15 @@ def test_parts_of_unequal_size_have_their_own_means(monkeypatch):
     ys, xs = (np.round(np.linspace(0, n, (n >> 1) + 1)).astype(int) for n in (11, 6))
     parts = [[whole.pixels[a:b, c:d].mean(axis=(0, 1)) for c, d in zip(xs, xs[1:])] for a, b in zip(ys, ys[1:])]  # noqa: B905
     np.testing.assert_allclose(whole.smaller(1).pixels, parts, rtol=1e-3)
+
+
+def test_what_pictures_reflect_and_emit_stays_within_what_can_be_computed():
+    """Products of a bright picture and a large strength: no more than the largest emission, nothing below zero, no albedo above 1."""
+    pixels = np.array([[[1e6, -1.0, 0.5, 1.0]]], np.float32)
+    b = SceneBuilder()
+    picture = [Color((Term((x,) * 3, (Source("image", texture=0),)),)) for x in (1.0, 1e6)]
+    b.quad("Screen", (0, 0, 0), (1, 0, 0), (0, 1, 0), Material("Screen", (Lobe("diffuse", picture[0]), Lobe("emission", picture[1]))))
+    shading = Shading(dataclasses.replace(b.build(), textures=(Texture("Bright", pixels),)))
+    at = np.zeros(1, np.int32), np.full(1, 0.25, np.float32), np.full(1, 0.25, np.float32)
+    assert shading.emission(*at)[0] == pytest.approx([LARGEST_EMISSION, 0, 5e5])
+    assert shading.albedo(*at)[0] == pytest.approx([1, 0, 0.5])
