@@ -107,7 +107,7 @@ def test_furnace_to_picture_with_all_passes(tmp_path):
 @pytest.mark.parametrize("method", DEMO_METHODS)
 def test_each_kind_of_method_bakes_texture_and_attribute(method):
     room = furnace()
-    values = {"path_tracing": {"samples": 16}, "particle_tracing": {"particles": 20000}}.get(method)
+    values = {"path_tracing": {"samples": 16}, "particle_tracing": {"particles": 20000}}.get(method, {"max_edge": 0.5})
     for target in ("texture", "attribute"):
         made, solution = finish(request(method, target, values, resolution=16))
         assert solution.method == method and not solution.partial and made.driver.state == "finished"

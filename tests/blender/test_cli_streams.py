@@ -23,6 +23,7 @@ from adjgi.adjoint_gi.bridge.results import kept
 from adjgi.adjoint_gi.core.method import registry
 
 solvers.load()
+CHECK = ("check", "--resolution", "32")
 SMALL = ("--resolution", "8", "--set", "samples=1", "--objects", "Floor")
 
 
@@ -71,7 +72,7 @@ def test_a_bake_whose_output_cannot_be_written_writes_everything_else(scene, tmp
 
 @pytest.mark.parametrize(("number", "code"), [(errno.EPIPE, 0), (errno.ENOSPC, 1)])
 def test_an_answer_that_is_lost_fails_unless_its_reader_has_gone(scene, number, code):
-    for arguments in (("check",), ("methods",), ("methods", "--json")):
+    for arguments in (CHECK, ("methods",), ("methods", "--json")):
         assert command(Broken(number, room=20), io.StringIO(), *arguments) == code
     assert command(Broken(number), io.StringIO(), "check", "--objects", "Nobody") == 2
 
@@ -80,14 +81,14 @@ def test_a_real_pipe_without_a_reader(scene):
     reader, writer = os.pipe()
     os.close(reader)
     with open(writer, "w") as out:
-        assert command(out, io.StringIO(), "check") == 0
+        assert command(out, io.StringIO(), *CHECK) == 0
         out.flush()  # what was still buffered goes nowhere, as at the end of an interpreter
 
 
 def test_names_are_one_line_in_every_encoding(scene):
     scene.objects["Floor"].name = "Fl\xf6\x1b[2Jor\nerror: forged\u202e"
     out, err = ascii_stream(), ascii_stream()
-    assert command(out, err, "check") == 0
+    assert command(out, err, *CHECK) == 0
     text = (out.buffer.getvalue() + err.buffer.getvalue()).decode("ascii")
     assert "Fl\\xf6\\x1b[2Jor\\nerror: forged\\u202e" in text
     assert not [line for line in text.splitlines() if line.startswith("error")] and "\x1b" not in text

@@ -159,6 +159,7 @@ def test_how_cycles_samples_a_texel(edge):
 # ---- the Cornell box
 
 BOX = 52  # texels; with fewer too many of the boxes lie on the edges of charts
+BOX_SAMPLES = 64
 LENGTH = 5
 WALLS = ("Floor", "Ceiling", "Back Wall", "Left Wall", "Right Wall", "Short Box", "Tall Box")
 
@@ -182,9 +183,9 @@ def reference():
     with pytest.MonkeyPatch.context() as patch:
         scene = cornell(patch, 2)
         with baking.shown(scene):
-            ours = [baking.lightmaps(box_request("path_tracing", {"samples": 128, "seed": seed})) for seed in range(3)]
+            ours = [baking.lightmaps(box_request("path_tracing", {"samples": BOX_SAMPLES, "seed": seed})) for seed in range(3)]
             theirs = {
-                name: [baking.cycles_irradiance(scene.objects[name], BOX, ours[0][name].layer, 128, seed) for seed in range(3)]
+                name: [baking.cycles_irradiance(scene.objects[name], BOX, ours[0][name].layer, BOX_SAMPLES, seed) for seed in range(3)]
                 for name in WALLS
             }
             boxes = [scene.objects[name] for name in WALLS if "Box" in name]
@@ -198,7 +199,8 @@ def test_cornell_box(reference, name):
     ours, theirs, used = reference
     share = used[name].sum() / (ours[0][name].share > 0).sum()
     assert share > (0.7 if "Box" in name else 0.85)
-    check(baking.compare([o[name].values for o in ours], theirs[name], used[name]), noise=0.08, comparisons=len(WALLS))
+    noise = 0.11 if name == "Ceiling" else 0.06  # the lamp is a centimetre below the ceiling
+    check(baking.compare([o[name].values for o in ours], theirs[name], used[name]), noise=noise, comparisons=len(WALLS))
 
 
 # Settings, and the stated error of the mean irradiance of an object: elements of 5 cm, a million particles.
