@@ -87,6 +87,8 @@ def make(what: str) -> None:
     """Open or build the scene `what`."""
     if what.endswith(".blend"):
         bpy.ops.wm.open_mainfile(filepath=what, use_scripts=False)
+        if bpy.context.mode != "OBJECT":
+            bpy.ops.object.mode_set(mode="OBJECT")  # as the level zdm2 was saved
     else:
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     if what == "objects":

@@ -108,7 +108,7 @@ def test_what_changes_all_the_time_is_read_at_once_in_the_end(scene, monkeypatch
         bpy.data.objects["Double"].location.x += 1.0
 
     found, count = sliced(monkeypatch, move)
-    assert same(found, at_once()) and count == depsgraph.ATTEMPTS - 1
+    assert same(found, at_once()) and count == depsgraph.ATTEMPTS
 
 
 def test_an_object_that_goes_between_two_slices_is_not_touched_again(scene, monkeypatch):

@@ -264,3 +264,25 @@ def test_all_that_needs_no_blender_runs_aside(scene, monkeypatch):
     job = BAKES.start(bpy.context, request(values={"samples": 1}, resolution=8))
     until(lambda: not job.active)
     assert len(threads) == 2 + 4 + 4 + 2 + 2 + 1 + 2 and threading.main_thread() not in threads
+
+
+def test_all_that_asks_blender_of_many_objects_does_it_an_object_at_a_time(scene, monkeypatch):
+    """With slices that are over at once, every object has its own for its copies, its faces and its layer."""
+    for where in (depsgraph, textures):
+        monkeypatch.setattr(where, "SLICE", -1.0)
+    square("Third")
+    said = []
+
+    def stages():
+        steps, answer = Bake(bpy.context, request(values={"samples": 1}, resolution=16), now=False).preparing(), None
+        while True:
+            try:
+                stage = steps.send(answer)
+            except StopIteration:
+                return
+            said.append(stage if isinstance(stage, str) else None)
+            answer = (yield stage) if isinstance(stage, Aside) else None
+
+    finish_stages(stages())
+    assert said.count("Reading the faces") == said.count("Placing texels") == 2, "none after the last"
+    assert said.count("Reading the scene") > 2 * 3 * len(mesh.PIECES)

@@ -189,6 +189,7 @@ def _attempting(request: BakeRequest, said: list[Notice], names: dict[str, str])
             files.output_folder(request.output)  # only writing there shows whether it can be done
 
         # Step 2: UV layers that are missing are made; then the scene has to be read again.
+        yield "Checking the objects"
         kind = WRITERS[request.target]
         made = yield from kind.preparing(request, world, same)
         if made is not None:
@@ -201,6 +202,7 @@ def _attempting(request: BakeRequest, said: list[Notice], names: dict[str, str])
             same()
 
         # Step 3: receivers and the driver.
+        yield "Checking the objects"
         writer = kind(bpy.context, request, world)
         yield from writer.placing()
         same()

@@ -29,7 +29,7 @@ from ...core.receivers.unwrap import Unwrapped
 from ...core.scene.world import World
 from ..engine.pictures import exposure
 from ..extract.depsgraph import extract
-from ..host import files
+from ..host import changes, files
 from ..host.preparation import SLICE, Aside, Stages, finish_stages, once
 from ..props.request import BakeRequest, raise_first
 from ..results import links, preview
@@ -114,22 +114,32 @@ class TextureWriter(Writer):
         sides = resolutions(self.world, indices, self.request)
         sides = np.array([side_of(obj, self.request, int(side)) for obj, side in zip(owners, sides, strict=True)])
         self.notices += _told(self.request, sides)
-        layers = [self._layers(bpy.context, group) for group in groups]
+        layers = yield from self._layers(groups)
         yield Aside("Placing texels", self._sheets(groups, layers, sides))
 
-    def _layers(self, context: bpy.types.Context, group: list[int]) -> list[str]:
-        """The UV layers of the objects `group`; says what is wrong with them."""
-        request = self.request
-        objects = [self.world.scene.objects[i] for i in group]
-        depsgraph = context.evaluated_depsgraph_get()
-        layers = []
-        found = find_objects(tuple(o.uid for o in objects), objects[0].source)
-        for obj in found:
-            layers.append(find_uv_layer(obj, request.uv_layer))
-            self.notices += check_uv_layer(obj, layers[-1], depsgraph)
-        if not request.uv_layer and not request.atlas:
-            self.notices += [_in_part(obj) for obj in found if shares_square(obj)]
-        return layers
+    def _layers(self, groups: list[list[int]]) -> Stages[list[list[str]]]:
+        """The UV layers of the objects `groups`, in slices; says what is wrong with them."""
+        objects = [self.world.scene.objects[i] for group in groups for i in group]
+        layers: list[str] = []
+        while len(layers) < len(objects):
+            rest, end = objects[len(layers) :], time.monotonic() + SLICE
+            depsgraph = bpy.context.evaluated_depsgraph_get()
+            for obj in find_objects(tuple(o.uid for o in rest), rest[0].source):
+                layers.append(self._layer(obj, depsgraph))
+                if time.monotonic() > end:
+                    break
+            if len(layers) < len(objects):
+                yield "Placing texels"
+        found = iter(layers)
+        return [list(itertools.islice(found, len(group))) for group in groups]
+
+    def _layer(self, obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> str:
+        """The UV layer of `obj`; says what is wrong with it."""
+        request, layer = self.request, find_uv_layer(obj, self.request.uv_layer)
+        self.notices += check_uv_layer(obj, layer, depsgraph)
+        if not request.uv_layer and not request.atlas and shares_square(obj):
+            self.notices.append(_in_part(obj))
+        return layer
 
     def _sheets(self, groups: list[list[int]], layers: list[list[str]], sides: np.ndarray) -> Steps[None]:
         """The sheets of all groups of objects, with their UV `layers` and texels a side, and all receivers. Needs no Blender."""
@@ -273,9 +283,13 @@ def _preparing(request: BakeRequest, world: World, indices: list[int], same: Cal
 
 
 def _copying(uids: list[int], same: Callable[[], None]) -> Stages[list[PlanCopy]]:
-    """Copy the meshes of the objects of these session_uids, in slices; `same` raises when they are not as they were."""
+    """Copy the meshes of the objects of these session_uids, in slices; `same` raises when they are not as they were, and is to be asked
+    again in the end for what changes without a sign."""
     copies: list[PlanCopy] = []
+    seen = changes.count()
     while len(copies) < len(uids):
+        if changes.count() != seen:
+            same()
         objects, end = find_objects(tuple(uids[len(copies) :]), "Object"), time.monotonic() + SLICE
         with unhidden(bpy.context.view_layer):
             for obj in objects:
@@ -284,7 +298,6 @@ def _copying(uids: list[int], same: Callable[[], None]) -> Stages[list[PlanCopy]
                     break
         if len(copies) < len(uids):
             yield "Reading the faces"
-            same()
     return copies
 
 

@@ -58,6 +58,7 @@ def extracting(resolution: tuple[int, int] | None = None, real: Mapping[str, bpy
 
     Where something changes in the scene meanwhile, it is read anew, after some times at once.
     """
+    yield "Reading the scene"  # whoever asks has looked at it first
     for attempt in range(ATTEMPTS):
         reading, last = Reading(bpy.context.scene, resolution, real or {}), attempt == ATTEMPTS - 1
         seen = None
