@@ -11,7 +11,7 @@ from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from adjgi.adjoint_gi.bridge.extract.mesh import read_mesh
 from adjgi.adjoint_gi.bridge.host.notices import Notices
 from adjgi.adjoint_gi.bridge.results import lightmap_uv as module
-from adjgi.adjoint_gi.bridge.results.faces import read_faces
+from adjgi.adjoint_gi.bridge.results.faces import copy_faces
 from adjgi.adjoint_gi.bridge.results.lightmap_uv import (
     check_uv_layer,
     find_uv_layer,
@@ -51,7 +51,7 @@ def test_faces_are_as_large_as_the_object_is_in_the_world():
     obj = add("cube")
     obj.rotation_euler, obj.scale = (0.3, 0.5, 0.7), (1.0, 3.0, 0.25)
     bpy.context.view_layer.update()
-    faces = read_faces(obj)
+    faces = copy_faces(obj, obj.data).faces()
     at = np.array([obj.matrix_world @ v.co - obj.matrix_world.translation for v in obj.data.vertices])
     np.testing.assert_allclose(faces.mesh.vertices, at, atol=1e-6)
     assert 0.5 * faces.area.sum() == pytest.approx(8 * (1 * 3 + 1 * 0.25 + 3 * 0.25), rel=1e-6)
