@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.core.comparison import page
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
 from adjgi.adjoint_gi.core.flux.agreement import (
     ALPHA,
@@ -21,8 +22,10 @@ from adjgi.adjoint_gi.core.flux.agreement import (
     shoot,
     two_sided,
 )
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.registry import methods
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceivers
+from adjgi.adjoint_gi.core.scene.arrays import Light
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.solvers import load
 from adjgi.tests import scenes
@@ -125,6 +128,35 @@ def test_flux_by_particles_is_that_of_the_closed_form():
     later = shot_by(world, found, 2, 64)
     assert later.value.sum() == pytest.approx(6 * rho * expected, abs=5 * later.error.sum())
     assert not shot_by(world, found, 2, 1).value.any()
+
+
+def test_the_error_of_batches_is_that_of_their_mean():
+    """The sum of the squares of all batches, that values and errors tell, grows by the square of each."""
+    world = World(scenes.cube(0.5, 1.0))
+    found = groups_of(world, ElementReceivers(Elements(world, max_edge=1.0)))
+    shots = [s for s, _ in zip(shoot(world, found, True, 0, 1, seed=1), range(5), strict=False) if s is not None]
+    k = np.array([s.batches for s in shots])[:, None]
+    value, error = (np.array([getattr(s, name) for s in shots]) for name in ("value", "error"))
+    assert k[:, 0].tolist() == [2, 3, 4, 5] and error.min() > 0
+    squares = error**2 * k * (k - 1) + value**2 * k
+    assert np.diff(squares, axis=0) == pytest.approx(np.diff(k * value, axis=0) ** 2, rel=1e-6)
+
+
+@pytest.mark.parametrize("below", [False, True])
+def test_light_from_behind_counts_for_elements_alone(below):
+    """Elements answer for both sides, texels and vertices for the front."""
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Floor", 0.5))
+    b.light(Light("Lamp", "point", (1.0, 1.0, 1.0), position=(0.5, 0.5, -1.0 if below else 1.0)))
+    world = World(b.build())
+    found = groups_of(world, ElementReceivers(Elements(world, max_edge=1.0)))
+    front, both = (shot_by(world, found, 0, 1, both).value.sum() for both in (False, True))
+    assert both > 0 and front == (0 if below else both)
+
+
+def test_the_page_holds_the_flux_of_particles_and_its_error():
+    about = SimpleNamespace(agrees=True, lines=(), groups=groups(2), methods=(), differences=(), shot=ShotFlux(*np.eye(2), 4, 9))
+    assert page._agreement_json(about)["shot"] == {"value": [1.0, 0.0], "error": [0.0, 1.0]}
 
 
 def test_nothing_is_shot_in_the_dark():

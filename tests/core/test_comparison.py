@@ -289,6 +289,8 @@ def test_the_winner_has_the_least_error_at_equal_time_and_the_least_time_at_equa
     assert result.winner is min(by.values(), key=lambda e: e.seconds)
     assert winner([replace(by["exact"], state="limit")], Budget("error", 0.6)) is None
     assert winner([replace(by["exact"], error=None)], Budget()) is None
+    early, exact = replace(by["exact"], seconds=1.0, error=0.5), replace(by["exact"], seconds=2.0, error=0.1)
+    assert winner([exact, early], Budget("error", 0.6)) is early and winner([early, exact], Budget("time", 2.0)) is exact
 
 
 def test_a_method_that_cannot_take_part_is_listed_and_the_others_go_on(methods, place, monkeypatch):
@@ -456,3 +458,25 @@ def test_what_comes_before_the_first_sample_is_no_time_of_samples(place, before)
 
     *_, found = effort.with_effort(Prepared(), *place, CountSettings(samples=40), Budget("time", 2.0))
     assert found.settings.samples == 512 and found.endless
+
+
+def test_rays_by_now_follow_the_clock():
+    meter = SimpleNamespace(curve=[comparison.Point(2.0, 100, None)], seconds=3.0)
+    assert Meter.predicted_rays(meter) == 150
+    assert Meter.predicted_rays(SimpleNamespace(curve=[], seconds=3.0)) == math.inf
+
+
+def test_repeats_make_the_error_of_their_mean(methods):
+    """Of 1, 3, 5 and 7: 4 with a standard deviation of sqrt(20 / 3), and half of that for the mean of four."""
+    entry = SimpleNamespace(complete=True, method="counting", label="Counting", lengths=(0, 64), random=True)
+    entry.fluxes = np.array([[1.0, 2.0], [3.0, 2.0], [5.0, 2.0], [7.0, 2.0]])
+    world = SimpleNamespace(shading=SimpleNamespace(substitutions=lambda _: ()))
+    found = running._Stages._measured(SimpleNamespace(world=world), entry)
+    assert (found.value.tolist(), found.freedom) == ([4, 2], 3)
+    assert found.error == pytest.approx([math.sqrt(20 / 3) / 2, 0])
+
+
+def test_the_page_says_how_much_of_a_reference_is_known():
+    known = Reference("Known", np.ones((4, 3)), np.array([True, False, False, False]), 0.0)
+    text = page._first(SimpleNamespace(entries=[1, 2], budget=Budget("time", 2.0), reference=known))
+    assert text == "2 methods, equal time, 2 s each. Reference: Known (exact), known for 25 % of the receivers."

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.denoise import wavelets
 from adjgi.adjoint_gi.core.denoise.ground import GridNeighbours, Ground, pixel_ground, texel_ground, vertex_ground
-from adjgi.adjoint_gi.core.denoise.images import BORDER, image_denoiser
+from adjgi.adjoint_gi.core.denoise.images import BORDER, Tile, image_denoiser
 from adjgi.adjoint_gi.core.denoise.step import NoisyLight, can_denoise, denoised, noisy_share, own_denoiser, trusted
 from adjgi.adjoint_gi.core.denoise.wavelets import smoothed
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
@@ -17,6 +17,7 @@ from adjgi.adjoint_gi.core.method.solution import Solution
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.receivers.texels import join, rasterize
 from adjgi.adjoint_gi.core.receivers.vertices import vertex_receivers
+from adjgi.adjoint_gi.core.scene.arrays import Camera
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests.scenes import cornell
 from adjgi.tests.solving import solve
@@ -314,3 +315,25 @@ def test_pixels_far_apart_may_lie_as_much_farther_from_the_plane():
     ground = dataclasses.replace(ground, position=slope.astype(np.float32))
     near, far = (wavelets._level(np.ones((n, 3)), np.ones(n), ground, np.ones(n, bool), level)[1][n // 2] for level in (0, 3))
     assert near < 0.3 and far == pytest.approx(near, rel=1e-3)
+
+
+def test_beside_a_chart_lies_its_own_mirror_image():
+    """Where it is too narrow for one, what lies at its border; never the chart behind it."""
+    tile = Tile.of(np.array([[0, 1, 2]]), np.ones(3, bool), np.array([0, 1, 1]))
+    assert tile.receiver[BORDER, BORDER - 1 : BORDER + 4].tolist() == [0, 0, 1, 2, 1]
+    assert tile.own[BORDER, BORDER - 1 : BORDER + 4].tolist() == [False, True, True, True, False]
+
+
+def test_pixels_lie_where_their_rays_meet_the_floor():
+    """Of a tilted camera at a height of 2."""
+    f = np.array([0.6, 0, -0.8])
+    b = SceneBuilder()
+    b.camera = Camera("perspective", (1, 0, 2), (0, 1, 0), (0.8, 0, 0.6), tuple(f), (-0.4, 0.4, -0.4, 0.4), 4, 4)
+    receivers = CameraReceivers(World(b.build()))
+    middle = np.full(16, 0.5)
+    origin, direction = receivers.rays(np.arange(16), middle, middle)
+    depth = origin[:, 2] / -direction[:, 2]
+    ground = pixel_ground(receivers, np.tile(np.float32([0, 0, 1]), (16, 1)), depth, np.ones((16, 3), np.float32))
+    assert np.abs(ground.position[:, 2]).max() < 1e-5
+    middle_of_all = ground.position.mean(axis=0)
+    assert middle_of_all[:2] == pytest.approx([1 + 2 * 0.6 / 0.8, 0], abs=0.3) and np.ptp(ground.position[:, 1]) > 0.5

@@ -81,6 +81,18 @@ def test_closeness_is_that_of_the_elements_and_not_of_the_scene(gap, edge, share
     assert np.isinf(nearest).all() if share == 0 else nearest.min() == pytest.approx(gap, rel=0.6)
 
 
+def test_each_object_is_told_of_its_own_least_distance():
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (4, 0, 0), (0, 2, 0), diffuse("Floor", 0.5))
+    for name, x, gap in (("Low", 0.5, 0.01), ("High", 2.5, 0.1)):
+        b.quad(name, (x, 0.5, gap), (1, 0, 0), (0, 1, 0), diffuse(name, 0.0, 1.0))
+    e = Elements(World(b.build()), 0.5)
+    flux = np.repeat(e.area, 2) * np.repeat(e.emitted, 2, axis=0).sum(axis=1)
+    part, nearest = close_light(e, flux)
+    assert np.isinf(nearest[0]) and nearest[1:] == pytest.approx([0.01, 0.1], rel=0.6)
+    assert part[0] == 0 and part[1:] == pytest.approx(part[1], rel=1e-5) and part[1] > 0
+
+
 LAMPS = {  # at 2 cm from a wall or a ceiling, and the share of its light that begins so at elements of 0.5 m
     "point": (Light("Lamp", "point", (1.0, 1.0, 1.0), position=(0.02, 2, 1.5)), 0.46),
     "spot at a wall": (spot(-1), 1.0),

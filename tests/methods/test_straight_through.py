@@ -436,3 +436,15 @@ def test_particles_pass_a_sheet_within_the_dark_of_a_soft_lamp(color):
     world, receivers = World(b.build()), quad_points(*grid(4))
     particles = solve("particle_tracing", world, receivers, seed=1, particles=200_000).direct.mean()
     assert particles == pytest.approx(solve("path_tracing", world, receivers, samples=256).direct.mean(), rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["path_tracing", "distribution", "irradiance_cache"])
+def test_light_of_a_ceiling_takes_the_colour_of_a_sheet(name):
+    """Lit by a lamp above the sheet."""
+    found = []
+    for layers in (0, 1):
+        b = under(sheet(TINT), None, layers)
+        b.quad("Ceiling", (-1, -1, 1.5), (0, 2, 0), (2, 0, 0), diffuse("Ceiling", 0.8))
+        b.light(Light("Lamp", "point", (3.0, 3.0, 3.0), position=(0, 0, 1.25)))
+        found.append(direct(b.build(), name, **GATHERING[name], max_length=2).indirect.mean(axis=0))
+    assert found[0].min() > 0 and found[1] == pytest.approx(found[0] * TINT, rel=0.05)
