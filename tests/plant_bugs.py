@@ -1839,6 +1839,27 @@ BUGS = (
         "on = at >= 0",
         "tests/core/test_agreement_report.py -k from_behind",
     ),
+    Bug(
+        "focus on a bone is focus on its armature",
+        "adjoint_gi/bridge/extract/camera.py",
+        "            matrix = matrix @ target.pose.bones[dof.focus_subtarget].matrix\n",
+        "            pass\n",
+        "tests/blender/test_depth_of_field.py -k bone",
+    ),
+    Bug(
+        "memory that is free is taken as kilobytes",
+        "adjoint_gi/core/base/resources.py",
+        "return int(line.split()[1]) * 1024",
+        "return int(line.split()[1])",
+        "tests/core/test_driver.py -k in_bytes",
+    ),
+    Bug(
+        "limits of memory are in megabytes of a million",
+        "adjoint_gi/core/base/resources.py",
+        "if needed > limit << 20:",
+        "if needed > limit * 10**6:",
+        "tests/core/test_driver.py -k binary",
+    ),
 )
 
 

@@ -56,6 +56,24 @@ def test_focus_object_counts_along_the_view():
     assert any("focus" in n.reason for n in arrays.warnings)
 
 
+def test_focus_follows_a_posed_bone_of_a_moved_armature():
+    """The camera looks down from a height of 3; the armature stands at 0.5, its bone at 0.4 along its axis, posed 0.3 higher: 1.8 away."""
+    obj = add_camera(aperture_fstop=2.0, focus_distance=1.25)
+    rig = bpy.data.objects.new("rig", bpy.data.armatures.new("rig"))
+    bpy.context.scene.collection.objects.link(rig)
+    bpy.context.view_layer.objects.active = rig
+    bpy.ops.object.mode_set(mode="EDIT")
+    bone = rig.data.edit_bones.new("Eye")
+    bone.head, bone.tail = (0, 0, 0.4), (0, 0, 1.4)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    rig.location = (1.0, 0.0, 0.5)
+    rig.pose.bones["Eye"].location = (0, 0.3, 0)  # along the bone
+    obj.data.dof.focus_object, obj.data.dof.focus_subtarget = rig, "Eye"
+    assert extracted().camera.focus_distance == pytest.approx(3 - 0.5 - 0.4 - 0.3)
+    obj.data.dof.focus_subtarget = ""
+    assert extracted().camera.focus_distance == pytest.approx(2.5)
+
+
 def test_no_depth_of_field_is_a_pinhole():
     add_camera(use_dof=False, aperture_fstop=0.1)
     assert extracted().camera.aperture_radius == 0

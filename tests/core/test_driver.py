@@ -251,6 +251,25 @@ def test_memory_is_refused_before_the_start(world, monkeypatch):
         driver(world, solver)
 
 
+def test_memory_that_is_free_is_read_in_bytes(monkeypatch, tmp_path):
+    told = tmp_path / "meminfo"
+    told.write_text("MemTotal:       9000 kB\nMemFree:         500 kB\nMemAvailable:   3000 kB\n", encoding="ascii")
+    monkeypatch.setattr(resources, "Path", lambda _: told)
+    monkeypatch.setattr(resources.sys, "platform", "linux")
+    assert resources.available_memory() == 3000 * 1024
+
+
+def test_a_limit_of_memory_is_in_binary_megabytes():
+    """As the system counts it; what just fits is not refused."""
+    resources.require_within("Bake", 300 << 20, 300, "Lower it")
+    resources.require_memory("Bake", 900, 1000)
+    with pytest.raises(MemoryRefused, match="could need 300 MB, over its limit of 300 MB") as refused:
+        resources.require_within("Bake", (300 << 20) + 1, 300, "Lower it")
+    assert refused.value.notice.remedy == "Lower it"
+    with pytest.raises(MemoryRefused, match="needs 901 B of memory and 1 kB are free"):
+        resources.require_memory("Bake", 901, 1000)
+
+
 def test_sizes_in_words():
     assert [resources.size_text(n) for n in (12, 1500, 123456, 2.5e9, 3e13)] == ["12 B", "1.5 kB", "123 kB", "2.5 GB", "30,000 GB"]
     assert resources.available_memory() > 0 and resources.peak_memory() > 0
