@@ -163,3 +163,36 @@ def test_command_line_and_panel_mean_the_same_by_default(registered, corner, arg
     state.selection_only, state.method, state.target = False, options.method, options.target
     state.denoise = "AUTO" if options.denoise is None else "ON" if options.denoise else "OFF"
     assert properties.request_of(bpy.context.scene).denoise is denoise
+
+
+def bilinear(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """What a texture shows: (n, 3) at UV coordinates (n,)."""
+    h, w = image.shape[:2]
+    x, y = u * w - 0.5, v * h - 0.5
+    i, j = np.floor(x).astype(int), np.floor(y).astype(int)
+    p, q = (x - i)[:, None], (y - j)[:, None]
+    below, above = ((1 - p) * image[k, i] + p * image[k, i + 1] for k in (j, j + 1))
+    return (1 - q) * below + q * above
+
+
+def test_charts_meet_where_the_surface_goes_on(registered, corner):
+    """A floor whose two halves lie apart in the image, one of them turned: the texture shows the same on both sides of the seam."""
+    mesh = bpy.data.meshes.new("Halves")
+    mesh.from_pydata([(x, y, 0.001) for y in (0, 1) for x in (0, 0.5, 1)], [], [(0, 1, 4, 3), (1, 2, 5, 4)])
+    left = [(0.05, 0.05), (0.45, 0.05), (0.45, 0.95), (0.05, 0.95)]
+    right = [(0.95, 0.95), (0.55, 0.95), (0.55, 0.05), (0.95, 0.05)]  # turned by 180 degrees
+    mesh.uv_layers.new(name="Mine").uv.foreach_set("vector", np.array(left + right, np.float32).ravel())
+    mesh.materials.append(corner.data.materials[0])
+    bpy.context.scene.collection.objects.link(bpy.data.objects.new("Halves", mesh))
+    bpy.context.view_layer.update()
+    t = np.linspace(0.02, 0.98, 60)
+    steps = {}
+    for denoise in (False, True):
+        asked = baking.request(
+            values={"samples": 16}, resolution=64, quantity="irradiance", objects=("Halves",), uv_layer="Mine", denoise=denoise
+        )
+        baking.bake(asked)
+        image = read_pixels(linked_image(bpy.data.objects["Halves"], "irradiance"))
+        sides = bilinear(image, np.full(60, 0.45), 0.05 + 0.9 * t), bilinear(image, np.full(60, 0.95), 0.95 - 0.9 * t)
+        steps[denoise] = float(np.abs(sides[0] - sides[1]).mean() / image.max(axis=2).mean())
+    assert steps[True] < 0.01 and steps[False] > 3 * steps[True]

@@ -18,14 +18,14 @@ from .writer import Writer
 
 
 def denoise(request: BakeRequest, writer: Writer, solution: Solution) -> tuple[Solution, list[Notice]]:
-    """`solution` as it is written, and what there is to say; the same one where nothing is asked for or nothing has noise."""
+    """`solution` as it is written, its seams closed, and what there is to say; the same one where nothing is asked for or has noise."""
     if not (request.denoise and can_denoise(request.solver.spec)):
         return solution, []
     ground = writer.ground(solution)
     if ground is None:
         return solution, [Notice("Denoise", "leaves values on elements as they are", "", "info")]
     told: list[Notice] = []
-    return denoised(solution, ground, _with_blender(ground, told)), told
+    return writer.seamless(denoised(solution, ground, _with_blender(ground, told))), told
 
 
 def _with_blender(ground: Ground, told: list[Notice]) -> Denoiser:

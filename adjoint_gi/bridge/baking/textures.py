@@ -17,6 +17,7 @@ from ...core.base.errors import AdjointError, Notice
 from ...core.base.steps import Steps, within
 from ...core.base.text import json_text
 from ...core.denoise.ground import Ground, texel_ground
+from ...core.denoise.step import PARTS as NOISY_PARTS
 from ...core.flux.density import Given, given, seen
 from ...core.flux.facing import baked_sides
 from ...core.images.exr import write_exr
@@ -24,6 +25,7 @@ from ...core.images.png import write_png
 from ...core.images.rows import LazyRows, with_alpha
 from ...core.method.solution import Solution
 from ...core.receivers.margin import FilledImage
+from ...core.receivers.seams import find_seams
 from ...core.receivers.texels import Lightmap, join, rasterize
 from ...core.receivers.unwrap import Unwrapped
 from ...core.scene.world import World
@@ -59,10 +61,11 @@ COMPONENTS = ("emitted", "direct", "indirect", "albedo")  # layers of the file w
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """One lightmap image: the objects that share it, its texels and its stretch of the receivers."""
+    """One lightmap image: the objects that share it, in Blender and by index in the scene, its texels and its stretch of the receivers."""
 
     name: str
     uids: tuple[int, ...]
+    objects: tuple[int, ...]
     lightmap: Lightmap
     part: slice
     uv_layers: tuple[str, ...]
@@ -75,6 +78,12 @@ class Sheet:
     def coverage(self, filled: FilledImage) -> LazyRows:
         """(h, w) float32 share of each texel that lies on a surface, where it has a sample."""
         return LazyRows(filled.sampled.shape, lambda rows: np.where(filled.sampled[rows], self.lightmap.share[rows], np.float32(0)))
+
+    def closed(self, world: World, solution: Solution, margin: int) -> dict[str, np.ndarray]:
+        """Direct and indirect light of its texels, with the seams between charts closed."""
+        layers = dict(zip(self.objects, self.uv_layers, strict=True))
+        seams = find_seams(world, self.objects, layers, self.lightmap, self.filled(solution.weight, margin))
+        return {name: seams.closed(getattr(solution, name)[self.part]) for name in NOISY_PARTS}
 
     def given(self, world: World, group: list[int]) -> tuple[Given, ...]:
         """What each object of `group` (indices) got of the image."""
@@ -160,11 +169,16 @@ class TextureWriter(Writer):
         lightmap = rasterize(world, group, uv_layers, resolution, request.subsamples, facing=facing, ours=not request.uv_layer)
         self.notices += lightmap.warnings
         name = outputs.title(request, self.scene_name, objects[0].source)
-        return Sheet(name, tuple(o.uid for o in objects), lightmap, slice(0), tuple(layers))
+        return Sheet(name, tuple(o.uid for o in objects), tuple(group), lightmap, slice(0), tuple(layers))
 
     def ground(self, solution: Solution) -> Ground:
         """The texels of all sheets."""
         return texel_ground(self.world, self.receivers, [sheet.lightmap for sheet in self.sheets])
+
+    def seamless(self, solution: Solution) -> Solution:
+        """The charts of each sheet meet."""
+        parts = [sheet.closed(self.world, solution, self.request.margin) for sheet in self.sheets]
+        return replace(solution, **{name: np.concatenate([part[name] for part in parts]) for name in NOISY_PARTS})
 
     def write(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:
         """Every sheet: see the class."""

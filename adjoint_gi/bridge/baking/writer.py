@@ -68,6 +68,10 @@ class Writer(abc.ABC):
         """What a denoiser has to know of the receivers; None where `solution` is not to be denoised."""
         return None
 
+    def seamless(self, solution: Solution) -> Solution:
+        """`solution` with the light of receivers that lie beside one another on a surface, but not in an image, brought together."""
+        return solution
+
     @abc.abstractmethod
     def write(self, solution: Solution, folder: Path | None) -> tuple[list[str], list[Path]]:
         """Write datablocks and, where a `folder` is given, files; returns the names of the ones and the paths of the others.

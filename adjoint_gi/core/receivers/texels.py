@@ -117,7 +117,7 @@ def rasterize(
     width, height = _checked(resolution, subsamples, memory_limit)
 
     # Step 1: one list of UV triangles, in units of texels.
-    triangle, uv, chart, charts = _gather(world, objects, uv_layer, placement or {})
+    triangle, uv, chart, charts = placed_triangles(world, objects, uv_layer, placement or {})
     layout = UvTriangles.of(uv, width, height)
 
     # Step 2: who owns which places of the texels.
@@ -231,7 +231,7 @@ def join(parts: Sequence[SurfaceReceivers]) -> tuple[SurfaceReceivers, list[slic
     return SurfaceReceivers(kind, np.concatenate(starts), *merged, parts[0].facing), stretches
 
 
-def _gather(
+def placed_triangles(
     world: World, objects: Sequence[int], uv_layer: str | Mapping[int, str], placement: Mapping[int, Placement]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """World triangle (n,), placed UV (n, 3, 2) float64 and chart (n,) of all triangles of `objects`, and the number of charts."""

@@ -1,0 +1,105 @@
+"""Seams between charts are closed: a cylinder's seam, a floor in two charts, and nothing over sharp edges."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.receivers.margin import FilledImage
+from adjgi.adjoint_gi.core.receivers.seams import find_seams
+from adjgi.adjoint_gi.core.receivers.texels import rasterize
+from adjgi.adjoint_gi.core.scene.world import World
+
+AROUND, SIDE = 32, 64
+
+
+def cylinder(smooth: bool = True) -> World:
+    """A tube of height 2 whose UVs are unrolled over the image but for a border, one chart with one seam."""
+    angle = np.linspace(0, 2 * np.pi, AROUND, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    vertices = np.concatenate([np.column_stack([ring, np.full(AROUND, z)]) for z in (0.0, 2.0)])
+    k = np.arange(AROUND)
+    n = (k + 1) % AROUND
+    triangles = np.concatenate([np.column_stack([k, n, n + AROUND]), np.column_stack([k, n + AROUND, k + AROUND])])
+    left, right = k / AROUND, (k + 1) / AROUND
+    zero, one = np.zeros(AROUND), np.ones(AROUND)
+    first = np.stack([np.stack(x, axis=1) for x in ((left, zero), (right, zero), (right, one))], axis=1)
+    second = np.stack([np.stack(x, axis=1) for x in ((left, zero), (right, one), (left, one))], axis=1)
+    uv = 0.1 + 0.8 * np.concatenate([first, second])
+    b = SceneBuilder()
+    normals = {"smooth_normals": np.tile(np.column_stack([ring, np.zeros(AROUND)]), (2, 1))} if smooth else {}
+    b.mesh("Tube", vertices, triangles, diffuse("Grey", 0.5), uv=uv, **normals)
+    return World(b.build())
+
+
+def seams_of(world: World, objects=(0,), side: int = SIDE):
+    lightmap = rasterize(world, list(objects), "", side, 4)
+    filled = FilledImage.of((side, side), lightmap.pixel, np.ones(len(lightmap.pixel), bool), 8)
+    return lightmap, find_seams(world, list(objects), "", lightmap, filled)
+
+
+def place_of(world: World, lightmap) -> np.ndarray:
+    r = lightmap.receivers
+    first = r.start[:-1]
+    return world.surface(r.triangle[first], r.u[first], r.v[first]).position + world.center
+
+
+def test_the_seam_of_a_cylinder_is_closed():
+    world = cylinder()
+    lightmap, seams = seams_of(world)
+    place = place_of(world, lightmap)
+    # Light that is even around the tube, but as a denoiser would leave it: brighter on one side of the seam than on the other.
+    column = lightmap.pixel % SIDE
+    light = np.repeat((1 + 0.1 * (column - column.min()) / np.ptp(column))[:, None], 3, axis=1).astype(np.float32)
+    before, after = np.abs(seams.steps(light)), np.abs(seams.steps(seams.closed(light)))
+    assert before.min() > 0.09 and after.max() < 0.01 and len(before) >= 45
+    moved = np.abs(seams.closed(light) - light).max(axis=1)
+    assert moved.max() < 0.08 and moved[place[:, 0] < 0].max() == 0  # the far side of the tube stays as it is
+    # It is no step next to the seam instead.
+    image = lightmap.image(seams.closed(light) - light)[:, :, 0]
+    inside = lightmap.covered[:, 1:] & lightmap.covered[:, :-1]
+    assert np.abs(np.diff(image, axis=1))[inside].max() < 0.02
+    assert seams.closed(light).mean() == pytest.approx(light.mean(), rel=1e-3)
+
+
+def test_a_facetted_cylinder_and_a_closed_seam_stay_as_they_are():
+    assert seams_of(cylinder(smooth=False))[1].count == 0
+    lightmap, seams = seams_of(cylinder())
+    even = np.ones((len(lightmap.pixel), 3), np.float32)
+    np.testing.assert_allclose(seams.closed(even), even, atol=1e-6)
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2, 3])
+def test_two_halves_of_a_floor_that_lie_anyhow_in_the_image_meet(turn):
+    """Objects beside each other are one surface, however their charts are turned."""
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
+    b = SceneBuilder()
+    for x, corner, k in ((0, (0.05, 0.05), 0), (1, (0.55, 0.45), turn)):
+        vertices = np.column_stack([square + [x, 0], np.zeros(4)])
+        uv = np.roll(square, k, axis=0) * 0.4 + corner
+        b.mesh(f"Half {x}", vertices, np.array([[0, 1, 2], [0, 2, 3]]), diffuse("Grey", 0.5), uv=uv[[[0, 1, 2], [0, 2, 3]]])
+    world = World(b.build())
+    lightmap, seams = seams_of(world, (0, 1))
+    place = place_of(world, lightmap)
+    light = np.repeat((1 + place[:, 1] + 0.2 * (place[:, 0] > 1))[:, None], 3, axis=1).astype(np.float32)
+    steps = seams.steps(light)
+    np.testing.assert_allclose(steps, -0.2, atol=0.03)  # the same point on both sides, so only what was made a step is one
+    assert seams.count >= 20 and np.abs(seams.steps(seams.closed(light))).max() < 0.02
+
+
+def test_over_a_sharp_edge_light_may_differ():
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
+    for tilt, count in ((0.5 * np.pi, 0), (0.25, 0), (0.05, 20)):
+        b = SceneBuilder()
+        for k, (c, s) in enumerate(((1, 0), (-np.cos(tilt), np.sin(tilt)))):
+            vertices = np.column_stack([c * square[:, 0], square[:, 1], s * square[:, 0]])
+            faces = np.array([[0, 1, 2], [0, 2, 3]])[:, :: 1 - 2 * k]
+            b.mesh(f"Leaf {k}", vertices, faces, diffuse("Grey", 0.5), uv=(0.4 * square + 0.05 + 0.5 * k)[faces])
+        assert (seams_of(World(b.build()), (0, 1))[1].count >= count) if count else seams_of(World(b.build()), (0, 1))[1].count == 0
+
+
+def test_dark_stays_dark_enough():
+    """No correction makes light negative."""
+    lightmap, seams = seams_of(cylinder())
+    light = np.where(lightmap.pixel % SIDE < SIDE // 2, 0.0, 1.0)[:, None] * np.ones(3, np.float32)
+    assert seams.closed(light.astype(np.float32)).min() >= 0
