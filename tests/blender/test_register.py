@@ -40,6 +40,7 @@ def test_everything_is_registered(registered):
         "undo_post",
         "redo_post",
         "depsgraph_update_post",
+        "frame_change_post",
         "render_init",
     }
     assert there["scene property"]
@@ -60,11 +61,12 @@ def test_twenty_times_without_a_trace(registered):
 
 def test_unregistering_parts_twice_is_harmless(registered):
     from adjgi.adjoint_gi.bridge.baking import check
-    from adjgi.adjoint_gi.bridge.host import background
+    from adjgi.adjoint_gi.bridge.extract import scene_store
+    from adjgi.adjoint_gi.bridge.host import background, changes
     from adjgi.adjoint_gi.bridge.props import properties
 
     registered.unregister()
-    for part in (check, background, properties):
+    for part in (check, scene_store, changes, background, properties):
         part.unregister()
     registered.register()
 
