@@ -1860,6 +1860,13 @@ BUGS = (
         "if needed > limit * 10**6:",
         "tests/core/test_driver.py -k binary",
     ),
+    Bug(
+        "backgrounds below zero darken",
+        "adjoint_gi/core/lights/background.py",
+        "self._color = np.maximum(np.asarray(world.scene.background, np.float32), 0)",
+        "self._color = np.asarray(world.scene.background, np.float32)",
+        "tests/core/test_lights.py -k below_zero",
+    ),
 )
 
 

@@ -38,7 +38,7 @@ class Counting(Solver):
     def __init__(self, seconds=0.01, fail_at=None, steps=STEPS, wait=None, sleep=time.sleep):
         self.seconds, self.fail_at, self.steps, self.wait, self.sleep = seconds, fail_at, steps, wait, sleep
         self.done = 0
-        self.closed = False
+        self.closed = self.waits = False
         self.threads = set()
         self.inside = False
 
@@ -58,6 +58,7 @@ class Counting(Solver):
                     raise ZeroDivisionError("in the middle")
                 total += rng.random(total.shape, np.float32)
                 if self.wait is not None:
+                    self.waits = True
                     self.wait.wait(10)
                 self.sleep(self.seconds)
                 self.inside = False
@@ -204,6 +205,7 @@ def test_cancel_of_a_long_step_returns_and_the_thread_ends_by_itself(world):
     solver = Counting(0.0, wait=threading.Event())
     d = driver(world, solver)
     d.start()
+    until(lambda: solver.waits)
     assert not d.cancel(0.05)
     assert not solver.closed and d.state == "running"
     solver.wait.set()

@@ -322,3 +322,15 @@ def test_a_background_that_light_points_find_lights_the_same(others, mesh_lights
     agree(*found, "background")
     if not others:
         agree(found[1], (np.pi * np.array(COLOR), np.zeros(3)), "closed form")
+
+
+def test_a_background_below_zero_is_black_in_that_channel():
+    found = []
+    for color in ((-1.0, 0.5, 0.0), (-1.0, -0.5, 0.0)):
+        b = SceneBuilder()
+        b.quad("Floor", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Floor", 0.5))
+        b.background = color
+        found.append(Background(World(b.build())))
+    assert [f.any for f in found] == [True, False]
+    assert found[0].radiance(np.array([[0.0], [0.0], [1.0]], np.float32))[:, 0].tolist() == [0, 0.5, 0]
+    assert found[0].flux[0, 0] == 0 and found[0].flux[0, 1] > 0 and not found[1].flux.any()
