@@ -1867,6 +1867,34 @@ BUGS = (
         "self._color = np.asarray(world.scene.background, np.float32)",
         "tests/core/test_lights.py -k below_zero",
     ),
+    Bug(
+        "radiance of suns is by the cosine of their half angle",
+        "adjoint_gi/core/lights/sun.py",
+        "color /= np.pi * np.sin(self._half()[:, None]) ** 2",
+        "color /= 2 * np.pi * (1 - np.cos(self._half()[:, None]))",
+        "tests/core/test_lights.py -k into_it",
+    ),
+    Bug(
+        "suns shine through what hides them",
+        "adjoint_gi/core/lights/sun.py",
+        "(dot(w, z) > 0) & (distance == INF)",
+        "(dot(w, z) > 0)",
+        "tests/core/test_lights.py -k into_it",
+    ),
+    Bug(
+        "charts do not part at creases",
+        "adjoint_gi/core/receivers/projection.py",
+        "((axis[a] == axis[b]) & (turn > CREASE))",
+        "(axis[a] == axis[b])",
+        "tests/core/test_unwrap.py -k ridge",
+    ),
+    Bug(
+        "pieces are parted at creases of their polygons",
+        "adjoint_gi/core/receivers/projection.py",
+        "same = within | ((axis[a] == axis[b]) & (turn > CREASE))",
+        "same = (axis[a] == axis[b]) & (turn > CREASE)",
+        "tests/core/test_unwrap.py -k crossed_polygon",
+    ),
 )
 
 

@@ -334,3 +334,16 @@ def test_a_background_below_zero_is_black_in_that_channel():
     assert [f.any for f in found] == [True, False]
     assert found[0].radiance(np.array([[0.0], [0.0], [1.0]], np.float32))[:, 0].tolist() == [0, 0.5, 0]
     assert found[0].flux[0, 0] == 0 and found[0].flux[0, 1] > 0 and not found[1].flux.any()
+
+
+def test_rays_see_a_sun_where_they_look_into_it_and_nothing_hides_it():
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Floor", 0.5))
+    suns = SunLights([Light("Sun", "sun", (1.0, 1.0, 1.0), angle=1.0)], World(b.build()))
+    tilt = np.array([0.0, 0.0, 0.49, 0.51, np.pi])
+    w = np.stack([np.sin(tilt), 0 * tilt, np.cos(tilt)]).astype(np.float32)
+    distance = np.array([np.inf, 3.0, np.inf, np.inf, np.inf], np.float32)
+    assert suns.seen(0, np.zeros((3, 5), np.float32), w, distance).rows.tolist() == [0, 2]
+    assert suns.color[:, 0] == pytest.approx(np.full(3, 1 / (np.pi * np.sin(0.5) ** 2)), rel=1e-5), (
+        "a facing surface gets an irradiance of 1"
+    )

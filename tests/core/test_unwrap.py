@@ -10,6 +10,7 @@ from adjgi.adjoint_gi.core.receivers import conformal, uv_check
 from adjgi.adjoint_gi.core.receivers import unwrap as module
 from adjgi.adjoint_gi.core.receivers.charts import Charts, Mesh, area_vectors, carry, islands, signed_areas, smooth_regions
 from adjgi.adjoint_gi.core.receivers.conformal import MAX_REGION_TRIANGLES, cut_off, make_charts
+from adjgi.adjoint_gi.core.receivers.projection import pieces
 from adjgi.adjoint_gi.core.receivers.rasterize import row_blocks
 from adjgi.adjoint_gi.core.receivers.runs import UvTriangles
 from adjgi.adjoint_gi.core.receivers.unwrap import unwrap
@@ -332,3 +333,18 @@ def test_faces_are_lost_by_the_density_of_their_object():
     uv = np.concatenate([uv, np.zeros((1, 3, 2), np.float32)])
     for density, found in ((1.0, [4]), (0.01, [])):
         assert check([mesh, lost], uv, 64, 1, density=np.array([1.0, density])).lost.tolist() == found
+
+
+@pytest.mark.parametrize(("tilt", "parts"), [(20, 1), (40, 2)])
+def test_a_roof_is_cut_along_its_ridge_where_that_is_sharp(tilt, parts):
+    """Both sides look up more than aside; light must not bleed around an edge of more than 60 degrees."""
+    h = np.tan(np.radians(tilt))
+    place = np.array([[0, 0, 0], [0, 2, 0], [1, 0, -h], [1, 2, -h], [-1, 0, -h], [-1, 2, -h]])
+    roof = Mesh(place, np.array([[0, 2, 3], [0, 3, 1], [0, 1, 5], [0, 5, 4]]), np.array([0, 0, 1, 1]))
+    assert len(np.unique(pieces(roof))) == parts
+
+
+def test_halves_of_a_crossed_polygon_stay_together():
+    """They face opposite ways, so that it has no normal."""
+    place = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [2, 1, 0.0]])
+    assert len(np.unique(pieces(Mesh(place, np.array([[0, 1, 2], [0, 2, 3]]), np.zeros(2, np.int64))))) == 1
