@@ -1889,11 +1889,18 @@ BUGS = (
         "tests/core/test_unwrap.py -k ridge",
     ),
     Bug(
-        "pieces are parted at creases of their polygons",
-        "adjoint_gi/core/receivers/projection.py",
-        "same = within | ((axis[a] == axis[b]) & (turn > CREASE))",
-        "same = (axis[a] == axis[b]) & (turn > CREASE)",
-        "tests/core/test_unwrap.py -k crossed_polygon",
+        "rectangles of pictures begin one pixel late",
+        "adjoint_gi/core/comparison/figures.py",
+        "x0, x1 = (int(np.clip(round(a), 0, self.width)) for a in (x, x + width))",
+        "x0, x1 = (int(np.clip(round(a), 0, self.width)) for a in (x + 1, x + width))",
+        "tests/core/test_figures.py -k rectangles_fill",
+    ),
+    Bug(
+        "dimming of bins is that of their outer edge",
+        "adjoint_gi/core/directional/bins.py",
+        "(np.arange(16) + 0.5) / 16) / self.rows",
+        "(np.arange(16) + 0.5) / 16 * 0 + 1) / self.rows",
+        "tests/core/test_directions.py -k dimming_is",
     ),
 )
 

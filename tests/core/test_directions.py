@@ -244,3 +244,9 @@ def test_dimming_by_a_curve_is_the_flux_of_that_radiance(basis):
         found = basis.dimming(lambda c, power=power: c**power)
         assert basis.exitance(np.repeat(found[None, :, None], 3, axis=2)) == pytest.approx(np.full((1, 3), flux), rel=2e-3)
     assert basis.dimming(np.ones_like) == pytest.approx(basis.constant(), abs=1e-9)
+
+
+def test_dimming_is_the_mean_over_each_bin():
+    """Of the square of the cosine, which falls evenly from row to row, in all columns alike."""
+    found = Bins(4, 3).dimming(lambda cosine: cosine**2)
+    assert found == pytest.approx(np.repeat(1 - (np.arange(4) + 0.5) / 4, 3), rel=1e-9)

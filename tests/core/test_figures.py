@@ -145,3 +145,12 @@ def test_the_scale_of_differences_is_labelled_in_shares_of_the_mean(monkeypatch)
     grey = np.ones((8, 8, 3), np.float32)
     figures.differences([grey], grey, np.ones((8, 8), bool), ["x"], 0.2, 4.0)
     assert [text for _, text in sorted(written)[-3:]] == ["-5%", "0", "+5%"]
+
+
+def test_rectangles_fill_their_pixels_and_no_others():
+    canvas = Canvas(6, 5)
+    canvas.rectangle(1, 2, 3, 2, (0.0, 0.5, 0.0))
+    canvas.rectangle(5, -2, 9, 3, (0.0, 0.5, 0.0))
+    right = np.zeros((5, 6), bool)
+    right[2:4, 1:4] = right[0, 5] = True
+    assert np.array_equal(canvas.pixels[..., 0] == 0, right) and (canvas.pixels[right] == (0, 0.5, 0)).all()

@@ -342,9 +342,3 @@ def test_a_roof_is_cut_along_its_ridge_where_that_is_sharp(tilt, parts):
     place = np.array([[0, 0, 0], [0, 2, 0], [1, 0, -h], [1, 2, -h], [-1, 0, -h], [-1, 2, -h]])
     roof = Mesh(place, np.array([[0, 2, 3], [0, 3, 1], [0, 1, 5], [0, 5, 4]]), np.array([0, 0, 1, 1]))
     assert len(np.unique(pieces(roof))) == parts
-
-
-def test_halves_of_a_crossed_polygon_stay_together():
-    """They face opposite ways, so that it has no normal."""
-    place = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [2, 1, 0.0]])
-    assert len(np.unique(pieces(Mesh(place, np.array([[0, 1, 2], [0, 2, 3]]), np.zeros(2, np.int64))))) == 1
