@@ -1902,6 +1902,13 @@ BUGS = (
         "(np.arange(16) + 0.5) / 16 * 0 + 1) / self.rows",
         "tests/core/test_directions.py -k dimming_is",
     ),
+    Bug(
+        "light between coat and base is not sent back",
+        "adjoint_gi/core/bsdf/coat.py",
+        "* (1 - self.albedo(coating, back)) / gone",
+        "* (1 - self.albedo(coating, back))",
+        "tests/core/test_bsdf.py -k loses_nothing",
+    ),
 )
 
 

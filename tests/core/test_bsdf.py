@@ -418,3 +418,11 @@ def test_elements_with_directions_scatter_a_rough_diffuse_lobe_as_it_is(many, co
         here = (at == out) & of_lit
         error = f[here].std(axis=0) / np.sqrt(here.sum())
         assert (np.abs(got[out] - f[here].mean(axis=0)) < 5 * error + 0.02 * got[out]).all()
+
+
+@pytest.mark.parametrize("kind", ["diffuse", "rough diffuse"])
+def test_white_below_a_white_coat_loses_nothing(kind):
+    """What the coat takes from light on its way in and out comes back between the two."""
+    base = [Lobe("diffuse", C(1))] if kind == "diffuse" else [Lobe(kind, C(1), 0.5, multiscatter=True)]
+    lobes = lobes_at([*base, Lobe("specular", C(1), 0.4, 1.45)], view(0.6, 40_000))
+    assert bsdf.sample(lobes, np.random.default_rng(2)).weight.mean() == pytest.approx(1, abs=0.02)
