@@ -1909,6 +1909,20 @@ BUGS = (
         "* (1 - self.albedo(coating, back))",
         "tests/core/test_bsdf.py -k loses_nothing",
     ),
+    Bug(
+        "light that leaks below a wall where charts meet",
+        "adjoint_gi/core/receivers/seams.py",
+        "good[own[0] & own[1] & _in_sight(world, lightmap, *shown)]",
+        "good[own[0] & own[1]]",
+        "tests/core/test_seams.py",
+    ),
+    Bug(
+        "texels without a sample that darken a seam",
+        "adjoint_gi/core/receivers/seams.py",
+        "(receiver >= 0) & has[receiver]",
+        "(receiver >= 0)",
+        "tests/core/test_seams.py",
+    ),
 )
 
 

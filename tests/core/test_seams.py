@@ -32,9 +32,11 @@ def cylinder(smooth: bool = True) -> World:
     return World(b.build())
 
 
-def seams_of(world: World, objects=(0,), side: int = SIDE):
+def seams_of(world: World, objects=(0,), side: int = SIDE, sampled: slice = slice(None)):
     lightmap = rasterize(world, list(objects), "", side, 4)
-    filled = FilledImage.of((side, side), lightmap.pixel, np.ones(len(lightmap.pixel), bool), 8)
+    has = np.zeros(len(lightmap.pixel), bool)
+    has[sampled] = True
+    filled = FilledImage.of((side, side), lightmap.pixel, has, 8)
     return lightmap, find_seams(world, list(objects), "", lightmap, filled)
 
 
@@ -103,3 +105,43 @@ def test_dark_stays_dark_enough():
     lightmap, seams = seams_of(cylinder())
     light = np.where(lightmap.pixel % SIDE < SIDE // 2, 0.0, 1.0)[:, None] * np.ones(3, np.float32)
     assert seams.closed(light.astype(np.float32)).min() >= 0
+
+
+def floors(places=((0.05, 0.05), (0.55, 0.45)), wall: bool = False) -> World:
+    """Two squares beside each other at x = 1, whose charts begin at these places; a wall may stand between them, and reach below."""
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    b = SceneBuilder()
+    for x, corner in enumerate(places):
+        vertices = np.column_stack([square + [x, 0], np.zeros(4)])
+        b.mesh(f"Floor {x}", vertices, faces, diffuse("Grey", 0.5), uv=(square * 0.4 + corner)[faces])
+    if wall:
+        b.quad("Wall", (1, -1, -0.5), (0, 3, 0), (0, 0, 3), diffuse("White", 0.8))
+    return World(b.build())
+
+
+def test_light_does_not_leak_below_a_wall():
+    """A dark room stays dark beside a bright one, though the floor goes on below the wall between them."""
+    assert seams_of(floors(), (0, 1))[1].count > 20
+    world = floors(wall=True)
+    lightmap, seams = seams_of(world, (0, 1))
+    light = np.repeat((place_of(world, lightmap)[:, :1] > 1), 3, axis=1).astype(np.float32)
+    np.testing.assert_array_equal(seams.closed(light), light)
+
+
+def test_faces_that_share_texels_do_not_close_what_is_no_seam_of_theirs():
+    """The second floor shows the texels of the first, whose light on its far side has nothing to do with the edge between them."""
+    assert seams_of(floors(((0.05, 0.05), (0.05, 0.05))), (0, 1))[1].count == 0
+
+
+def test_texels_without_a_sample_yet_are_no_darkness():
+    """In a partial result a seam is closed where both sides have samples, and nothing flows to or from what has none."""
+    world = floors()
+    for sampled in (slice(None, None, 2), slice(0, 600), slice(0, 0)):
+        lightmap, seams = seams_of(world, (0, 1), sampled=sampled)
+        light = np.zeros((len(lightmap.pixel), 3), np.float32)
+        light[sampled] = 1.0
+        np.testing.assert_allclose(seams.closed(light), light, atol=1e-6)
+    world = floors(((0.05, 0.05), (0.55, 0.05)))
+    _, seams = seams_of(world, (0, 1), sampled=slice(0, 400))
+    assert 0 < seams.count < seams_of(world, (0, 1))[1].count

@@ -6,7 +6,8 @@ included, so that closing a seam is a matter of least squares: over corrections 
     sum_k (A_k (v + d) - B_k (v + d))^2  +  s sum_ij (d_i - d_j)^2  +  l sum_i d_i^2
 
 with A and B the look-ups on both sides. The second sum, over texels beside one another, spreads a correction over some sqrt(s / l) texels,
-so that no step is only moved. Only edges over which the shading goes on smoothly are closed: over a sharp edge light differs.
+so that no step is only moved. Only edges over which the shading goes on smoothly are closed, and where nothing stands between both sides:
+over a sharp edge, and behind a wall, light differs.
 
 S. Ray, "Seamless texture stitching" (least squares over borders; used in Sloan's lightmaps, and by Bakery); M. Hestenes and E. Stiefel,
 "Methods of Conjugate Gradients for Solving Linear Systems", 1952.
@@ -19,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..scene.arrays import RayKind
 from ..scene.topology import weld
 from ..scene.world import World
 from .margin import FilledImage
@@ -102,9 +104,9 @@ def _solve(apply: Callable[[np.ndarray], np.ndarray], right: np.ndarray) -> np.n
 def find_seams(world: World, objects: Sequence[int], uv_layer: str | Mapping[int, str], lightmap: Lightmap, filled: FilledImage) -> Seams:
     """The seams of an image: between charts of `objects` that share an edge of the mesh, or lie edge to edge. `filled`: what the image
     shows in each pixel."""
-    triangle, uv, _, _ = placed_triangles(world, objects, uv_layer, {})
+    triangle, uv, chart, _ = placed_triangles(world, objects, uv_layer, {})
     size = np.array([lightmap.width, lightmap.height])
-    uv = uv * size
+    uv = np.where(np.isfinite(uv), uv, np.nan) * size
 
     # Step 1: pairs of edges at one place that are apart in the image.
     used, vertex = np.unique(world.scene.triangles[triangle], return_inverse=True)
@@ -121,16 +123,35 @@ def find_seams(world: World, objects: Sequence[int], uv_layer: str | Mapping[int
     many = np.ceil(longest * min(1.0, MOST_SAMPLES / max(longest.sum(), 1.0))).astype(np.int64)
     edge = np.repeat(np.arange(len(many)), many)
     t = (np.arange(len(edge)) - np.repeat(np.cumsum(many) - many, many) + 0.5) / many[edge]
-    sides = [_look_up(filled, e[edge, 0] + t[:, None] * (e[edge, 1] - e[edge, 0])) for e in ends]
+    has = filled.sampled.reshape(-1)[lightmap.pixel]
+    sides = [_look_up(filled, has, e[edge, 0] + t[:, None] * (e[edge, 1] - e[edge, 0])) for e in ends]
     towards = lightmap.receivers.towards
     normals = (
         _normals(world, triangle, first[edge], t, towards),
         _normals(world, triangle, second[edge], np.where(turned[edge], 1 - t, t), towards),
     )
     good = (sides[0][1].sum(axis=1) > 0.999) & (sides[1][1].sum(axis=1) > 0.999) & (np.einsum("ij,ij->i", *normals) > SMOOTH)
+
+    # Step 3: of these, where both sides show what is their own, and nothing stands between them.
+    good = np.flatnonzero(good)
+    shown = [r[good, w[good].argmax(axis=1)] for r, w in sides]
+    chart_of = lightmap.chart.reshape(-1)[lightmap.pixel]
+    own = [chart_of[r] == chart[e[edge[good]] // 3] for r, e in zip(shown, (first, second), strict=True)]
+    good = good[own[0] & own[1] & _in_sight(world, lightmap, *shown)]
     receiver = tuple(r[good] for r, _ in sides)
     weight = tuple(w[good] for _, w in sides)
     return Seams(receiver, weight, _beside(lightmap, filled, np.unique(np.concatenate([r.ravel() for r in receiver]))))
+
+
+def _in_sight(world: World, lightmap: Lightmap, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(k,) bool: whether receivers `a` and `b` (k,) see one another from half as high above the surface as they are apart."""
+    texels = lightmap.receivers
+    point = texels.start[:-1][np.concatenate([a, b])]
+    at = world.surface(texels.triangle[point], texels.u[point], texels.v[point], texels.towards(texels.triangle[point]))
+    far = np.linalg.norm(at.position[len(a) :] - at.position[: len(a)], axis=1)
+    raised = world.leave(at) + at.ng * np.tile(0.5 * far, 2)[:, None]
+    start, end = (np.ascontiguousarray(x, np.float32) for x in (raised[: len(a)], raised[len(a) :]))
+    return ~world.occluded(start, end - start, np.ones(len(a), np.float32), RayKind.DIFFUSE)
 
 
 def _edge_pairs(ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -167,8 +188,9 @@ def _normals(world: World, triangle: np.ndarray, edge: np.ndarray, t: np.ndarray
     return world.surface(own, bary[:, 1], bary[:, 2], towards(own)).ns
 
 
-def _look_up(filled: FilledImage, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Receivers (k, 4) that a bilinear texture shows at points (k, 2) in texels, and their weights; 0 where there is none."""
+def _look_up(filled: FilledImage, has: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Receivers (k, 4) that a bilinear texture shows at points (k, 2) in texels, and their weights; 0 where there is none that `has` (n,)
+    a sample."""
     height, width = filled.receiver.shape
     place = at - 0.5
     low = np.floor(place)
@@ -180,7 +202,7 @@ def _look_up(filled: FilledImage, at: np.ndarray) -> tuple[np.ndarray, np.ndarra
     px, py = part[:, :1], part[:, 1:]
     weight = np.concatenate([(1 - px) * (1 - py), px * (1 - py), (1 - px) * py, px * py], axis=1)
     receiver = filled.receiver[y, x].astype(np.int64)
-    return np.maximum(receiver, 0), np.where(receiver >= 0, weight, 0)
+    return np.maximum(receiver, 0), np.where((receiver >= 0) & has[receiver], weight, 0)
 
 
 def _beside(lightmap: Lightmap, filled: FilledImage, seam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
