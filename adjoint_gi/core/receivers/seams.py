@@ -30,7 +30,8 @@ SMOOTH = 0.99  # cosine between the shading normals of both sides, from which th
 SPREAD, KEEP = 0.25, 0.01  # weights of the second and the third sum
 REACH = 12  # texels from a seam up to which values change
 MOST_SAMPLES = 1 << 21  # of all seams together
-STEPS, ENOUGH = 200, 1e-3  # of the conjugate gradients, and the share of the residual at which they stop
+MOST_AT_EDGE = 8  # triangles that may meet at an edge; of more none goes on in another one
+STEPS, ENOUGH = 200, 1e-2  # of the conjugate gradients, and the share of the residual at which they stop
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +81,15 @@ class Seams:
         out = np.array(values, np.float32)
         for c in range(columns):
             own = values[some, c].astype(np.float64)
-            out[some, c] = np.maximum(own + _solve(apply, -spread(difference(own))), min(0.0, float(own.min())))
+            out[some, c] = own + _conserving(_solve(apply, -spread(difference(own))), min(0.0, float(own.min())) - own)
         return out
+
+
+def _conserving(change: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """`change` (n,), whose sum is 0, not below `least` (n,): what the others gain is less then, so that no light is made."""
+    change = np.maximum(change, least)
+    gain, loss = np.maximum(change, 0), np.minimum(change, 0)
+    return loss + gain * min(1.0, -float(loss.sum()) / max(float(gain.sum()), 1e-300))
 
 
 def _solve(apply: Callable[[np.ndarray], np.ndarray], right: np.ndarray) -> np.ndarray:
@@ -111,7 +119,8 @@ def find_seams(world: World, objects: Sequence[int], uv_layer: str | Mapping[int
     # Step 1: pairs of edges at one place that are apart in the image.
     used, vertex = np.unique(world.scene.triangles[triangle], return_inverse=True)
     ids = weld(world.scene.vertices[used])[vertex.reshape(-1, 3)]
-    first, second, turned = _edge_pairs(ids)
+    towards, middle = lightmap.receivers.towards, np.full(len(triangle), 1 / 3, np.float32)
+    first, second, turned = _edge_pairs(ids, world.surface(triangle, middle, middle, towards(triangle)).ng)
     ends = [_ends(uv, first, np.zeros(len(first), bool)), _ends(uv, second, turned)]
     apart = (np.abs(ends[0] - ends[1]) > 1e-3).any(axis=(1, 2)) & np.isfinite(ends[0] + ends[1]).all(axis=(1, 2))
     first, second, turned = first[apart], second[apart], turned[apart]
@@ -125,7 +134,6 @@ def find_seams(world: World, objects: Sequence[int], uv_layer: str | Mapping[int
     t = (np.arange(len(edge)) - np.repeat(np.cumsum(many) - many, many) + 0.5) / many[edge]
     has = filled.sampled.reshape(-1)[lightmap.pixel]
     sides = [_look_up(filled, has, e[edge, 0] + t[:, None] * (e[edge, 1] - e[edge, 0])) for e in ends]
-    towards = lightmap.receivers.towards
     normals = (
         _normals(world, triangle, first[edge], t, towards),
         _normals(world, triangle, second[edge], np.where(turned[edge], 1 - t, t), towards),
@@ -154,20 +162,26 @@ def _in_sight(world: World, lightmap: Lightmap, a: np.ndarray, b: np.ndarray) ->
     return ~world.occluded(start, end - start, np.ones(len(a), np.float32), RayKind.DIFFUSE)
 
 
-def _edge_pairs(ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Edges (m,), (m,), each 3 * triangle + corner, that are one edge of exactly two triangles, and whether (m,) the second runs back."""
+def _edge_pairs(ids: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Edges (m,), (m,), each 3 * triangle + corner, of two triangles over which the surface goes on, and whether (m,) the second runs back.
+
+    Where only two triangles meet at an edge, it is they; of more, as where the blocks of a wall touch, any two of the same `normal`
+    (nt, 3) that no third one has.
+    """
     a, b = ids.ravel(), np.roll(ids, -1, axis=1).ravel()
     key = np.minimum(a, b) * (int(ids.max(initial=0)) + 1) + np.maximum(a, b)
     order = np.argsort(key, kind="stable")
-    ordered = key[order]
-    same = np.flatnonzero(ordered[1:] == ordered[:-1])
-    alone = np.ones(len(same), bool)
-    alone[1:] &= same[1:] != same[:-1] + 1
-    alone[:-1] &= same[:-1] != same[1:] - 1
-    same = same[alone]
-    first, second = order[same], order[same + 1]
-    proper = a[first] != b[first]
-    first, second = first[proper], second[proper]
+    order = order[a[order] != b[order]]
+    _, place, many = np.unique(key[order], return_inverse=True, return_counts=True)
+    many = many[place.reshape(-1)]
+    pairs = [np.zeros((0, 2), np.int64)]
+    for lag in range(1, min(int(many.max(initial=0)), MOST_AT_EDGE)):
+        both = np.stack([order[:-lag], order[lag:]], axis=1)
+        along = np.einsum("ij,ij->i", normal[both[:, 0] // 3], normal[both[:, 1] // 3]) > SMOOTH
+        pairs.append(both[(key[both[:, 0]] == key[both[:, 1]]) & ((many[lag:] == 2) | along & (many[lag:] <= MOST_AT_EDGE))])
+    found = np.concatenate(pairs)
+    times = np.bincount(found.ravel(), minlength=ids.size)
+    first, second = found[(times[found] == 1).all(axis=1)].T
     return first, second, a[first] != a[second]
 
 
