@@ -10,7 +10,7 @@ from adjgi.adjoint_gi.core.receivers import conformal, uv_check
 from adjgi.adjoint_gi.core.receivers import unwrap as module
 from adjgi.adjoint_gi.core.receivers.charts import Charts, Mesh, area_vectors, carry, islands, signed_areas, smooth_regions
 from adjgi.adjoint_gi.core.receivers.conformal import MAX_REGION_TRIANGLES, cut_off, make_charts
-from adjgi.adjoint_gi.core.receivers.projection import pieces
+from adjgi.adjoint_gi.core.receivers.projection import opened, pieces
 from adjgi.adjoint_gi.core.receivers.rasterize import row_blocks
 from adjgi.adjoint_gi.core.receivers.runs import UvTriangles
 from adjgi.adjoint_gi.core.receivers.unwrap import unwrap
@@ -238,14 +238,22 @@ def test_affine_maps_carry_points():
     assert np.allclose(carry(corner, flat, np.array([[[2, 3, 0], [1, 0, 0]]], float)), [[[0, 2], [1, 1.5]]])
 
 
+def test_an_opened_face_has_its_corners_as_far_apart_as_along_its_border():
+    """Of a face of 3 by 1 the long sides take 3/8 of the circle each: chords of 2.41 to 1."""
+    corners = np.array([[0, 0, 0], [3, 0, 0], [3, 1, 0], [0, 1, 0.0]])
+    xy = opened(Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.zeros(2, np.int64))).xy
+    long, short = np.linalg.norm(xy[0, 1] - xy[0, 0]), np.linalg.norm(xy[0, 2] - xy[0, 1])
+    assert long / short == pytest.approx(np.sin(3 * np.pi / 8) / np.sin(np.pi / 8), rel=1e-5)
+
+
 def test_cut_charts_fall_into_pieces_and_then_into_faces_which_are_opened():
     m = mesh(*sheet(2))
     whole = Charts(m.corners()[..., :2], np.zeros(8, np.int64))
     assert cut_off(m, whole, np.zeros(0, int)).count == 1
     assert cut_off(m, whole, np.array([0])).count == 4  # one piece already, so its four faces
     faces = Charts(whole.xy, m.polygon)
-    opened = cut_off(m, faces, np.array([0]))
-    assert opened.count == 4 and np.ptp(np.linalg.norm(opened.xy[0] - opened.xy[m.polygon == 0].mean(axis=(0, 1)), axis=1)) < 0.1
+    cut = cut_off(m, faces, np.array([0]))
+    assert cut.count == 4 and np.ptp(np.linalg.norm(cut.xy[0] - cut.xy[m.polygon == 0].mean(axis=(0, 1)), axis=1)) < 0.1
 
 
 def test_corners_of_a_crossed_face_have_one_place_each():

@@ -2,18 +2,53 @@
 
 from __future__ import annotations
 
+import os
+import threading
 import time
+from collections import deque
 
 import xatlas
 
-NAP = 1e-3  # s; without it one of some 30,000 small atlases ends in a wait for ever on a busy machine, with a third of it none of 120,000
+NAP = 1e-3  # s; without it one of some 30,000 small atlases ended in a wait for ever on a busy machine, with it one of 100,000 or so
+# Atlases that are kept until others have come, so that the nap becomes a tenth of a second; each has a thread for every core but one.
+MOST = min(64, max(8, 1024 // (os.cpu_count() or 1)))
+REST = 2.0  # s after which all that are kept go
+
+_kept: deque[xatlas.Atlas] = deque()
+_last = 0.0  # monotonic time of the last `generate`
+_lock = threading.Lock()
+_watched = False  # whether a thread waits for the rest to be over
 
 
 def generate(atlas: xatlas.Atlas, options: xatlas.PackOptions) -> None:
-    """Chart and pack what was added to `atlas`, and let its threads fall asleep.
+    """Chart and pack what was added to `atlas`, and let its threads fall asleep before it is taken apart.
 
     When an atlas is taken apart, xatlas 0.0.11 wakes its threads without the lock by which they fall asleep: one that is just about to
-    misses that, and the program waits for it for ever.
+    misses that, and the program waits for it for ever. On a busy machine a thread may stand at that point for many milliseconds.
     """
+    global _last, _watched
     atlas.generate(xatlas.ChartOptions(), options)
     time.sleep(NAP)
+    with _lock:
+        _kept.append(atlas)
+        _last = time.monotonic()
+        gone = [_kept.popleft() for _ in range(len(_kept) - MOST)]
+        watch, _watched = not _watched, True
+    del gone  # outside of the lock, as it takes a while
+    if watch:
+        threading.Thread(target=_let_go, name="adjoint_gi_atlases", daemon=True).start()
+
+
+def _let_go() -> None:
+    """Take apart what is kept once no other atlas has come for a while."""
+    global _watched
+    while True:
+        time.sleep(REST)
+        with _lock:
+            if time.monotonic() - _last < REST:
+                continue
+            gone = list(_kept)
+            _kept.clear()
+            _watched = False
+        del gone
+        return

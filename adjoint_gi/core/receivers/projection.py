@@ -59,8 +59,9 @@ def opened(mesh: Mesh) -> Charts:
         ring = _ring(mesh.triangles[own])
         if ring is not None:
             step = np.linalg.norm(mesh.vertices[np.roll(ring, -1)] - mesh.vertices[ring], axis=1)
-            arc = np.cumsum(np.maximum(step, LEAST_STEP * step.sum()))
-            angle = dict(zip(ring.tolist(), 2 * np.pi * arc / arc[-1], strict=True))
+            step = np.maximum(step, LEAST_STEP * step.sum())
+            arc = np.cumsum(step)
+            angle = dict(zip(ring.tolist(), 2 * np.pi * (arc - step) / arc[-1], strict=True))
             turn = np.array([angle[k] for k in mesh.triangles[own].ravel().tolist()]).reshape(-1, 3)
             xy[own] = arc[-1] / (2 * np.pi) * np.stack([np.cos(turn), np.sin(turn)], axis=2)
     return tightest(Charts(xy, flat.chart))
