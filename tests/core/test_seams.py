@@ -8,6 +8,7 @@ from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.receivers.margin import FilledImage
 from adjgi.adjoint_gi.core.receivers.seams import find_seams
 from adjgi.adjoint_gi.core.receivers.texels import rasterize
+from adjgi.adjoint_gi.core.scene.topology import weld_near
 from adjgi.adjoint_gi.core.scene.world import World
 
 AROUND, SIDE = 32, 64
@@ -114,13 +115,13 @@ def test_dark_stays_dark_enough():
     assert closed.mean(dtype=np.float64) == pytest.approx(light.mean(dtype=np.float64), rel=1e-5)
 
 
-def floors(places=((0.05, 0.05), (0.55, 0.45)), wall: bool = False) -> World:
+def floors(places=((0.05, 0.05), (0.55, 0.45)), wall: bool = False, gap: float = 0.0) -> World:
     """Two squares beside each other at x = 1, whose charts begin at these places; a wall may stand between them, and reach below."""
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     b = SceneBuilder()
     for x, corner in enumerate(places):
-        vertices = np.column_stack([square + [x, 0], np.zeros(4)])
+        vertices = np.column_stack([square + [x + gap * x, gap * x], np.zeros(4)])
         b.mesh(f"Floor {x}", vertices, faces, diffuse("Grey", 0.5), uv=(square * 0.4 + corner)[faces])
     if wall:
         b.quad("Wall", (1, -1, -0.5), (0, 3, 0), (0, 0, 3), diffuse("White", 0.8))
@@ -170,3 +171,17 @@ def test_blocks_of_a_wall_are_one_surface():
     across = [place[r[np.arange(seams.count), w.argmax(axis=1)]] for r, w in zip(seams.receiver, seams.weight, strict=True)]
     assert seams.count >= 40 and np.abs(across[0] - across[1]).max() < 0.2
     assert (np.sign(across[0][:, 0] - 1) == -np.sign(across[1][:, 0] - 1)).all()
+
+
+@pytest.mark.parametrize("gap", [1e-9, -1e-9, 1e-7, -1e-7, 2e-7])
+def test_objects_that_were_put_beside_one_another_meet(gap):
+    """Their matrices leave a rounding between corners that are one."""
+    assert seams_of(floors(gap=gap), (0, 1))[1].count == seams_of(floors(), (0, 1))[1].count > 20
+    assert seams_of(floors(gap=1e-3), (0, 1))[1].count == 0
+
+
+def test_ends_of_edges_are_one_by_distance():
+    rng = np.random.default_rng(1)
+    place = rng.uniform(-5, 5, (3000, 3))
+    ids = weld_near(np.concatenate([place, place + rng.uniform(-1, 1, place.shape) * 2e-6]), 1e-4)
+    assert (ids[:3000] == ids[3000:]).mean() > 0.99 and len(np.unique(ids)) >= 2950

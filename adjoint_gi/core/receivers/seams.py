@@ -21,12 +21,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..scene.arrays import RayKind
-from ..scene.topology import weld
+from ..scene.topology import weld_near
 from ..scene.world import World
 from .margin import FilledImage
 from .texels import Lightmap, placed_triangles
 
 SMOOTH = 0.99  # cosine between the shading normals of both sides, from which the surface goes on
+NEAR = 1e-5  # of the extent of the scene: ends of edges that are one; matrices of objects leave a hundredth of it
 SPREAD, KEEP = 0.25, 0.01  # weights of the second and the third sum
 REACH = 12  # texels from a seam up to which values change
 MOST_SAMPLES = 1 << 21  # of all seams together
@@ -118,7 +119,7 @@ def find_seams(world: World, objects: Sequence[int], uv_layer: str | Mapping[int
 
     # Step 1: pairs of edges at one place that are apart in the image.
     used, vertex = np.unique(world.scene.triangles[triangle], return_inverse=True)
-    ids = weld(world.scene.vertices[used])[vertex.reshape(-1, 3)]
+    ids = weld_near(world.scene.vertices[used] - world.center, NEAR * world.extent)[vertex.reshape(-1, 3)]
     towards, middle = lightmap.receivers.towards, np.full(len(triangle), 1 / 3, np.float32)
     first, second, turned = _edge_pairs(ids, world.surface(triangle, middle, middle, towards(triangle)).ng)
     ends = [_ends(uv, first, np.zeros(len(first), bool)), _ends(uv, second, turned)]

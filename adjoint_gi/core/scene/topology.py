@@ -56,6 +56,20 @@ def weld(vertices: np.ndarray) -> np.ndarray:
     return ids
 
 
+def weld_near(vertices: np.ndarray, distance: float) -> np.ndarray:
+    """(nv,) int64: equal for vertices (nv, 3) much closer than `distance`, such as corners of objects that were put beside one another.
+
+    They share a cell of one of two grids, the second half a cell aside, but for one in some hundred that lie on borders of both.
+    """
+    cells = [weld(np.floor(vertices / distance + aside)) for aside in (0.0, 0.5)]
+    ids = np.arange(len(vertices))
+    for cell in (*cells, cells[0]):
+        least = np.full(len(ids), len(ids))
+        np.minimum.at(least, cell, ids)
+        ids = least[cell]
+    return ids
+
+
 def uv_corner_ids(triangles: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """(nt, 3) int64: equal for corners with the same vertex of `triangles` (nt, 3) and the same UV in `uv` (nt, 3, 2) float32."""
     bits = np.ascontiguousarray(uv + np.float32(0), np.float32).view(np.uint32).astype(np.uint64)  # + 0 turns -0 into 0
