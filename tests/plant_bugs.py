@@ -1951,6 +1951,55 @@ BUGS = (
         "settings.plain and walk.table.only_diffuse",
         "tests/methods/test_path_lobes.py -k even_numbers",
     ),
+    Bug(
+        "corrections of seams go over the borders of charts",
+        "adjoint_gi/core/receivers/seams.py",
+        " & (lightmap.chart[a] == lightmap.chart[b])",
+        "",
+        "tests/core/test_seams.py -k over_their_borders",
+    ),
+    Bug(
+        "far corners of quads have normals that the first triangle foretells",
+        "adjoint_gi/core/elements/smooth.py",
+        "np.where(quad & (s + t > 1), e.patch_second[patch], e.patch_triangle[patch])",
+        "e.patch_triangle[patch]",
+        "tests/core/test_elements.py -k own_triangles",
+    ),
+    Bug(
+        "elements of the lowest contrast are cut first",
+        "adjoint_gi/core/radiosity/importance.py",
+        "np.lexsort((at, -change[at]))",
+        "np.lexsort((at, change[at]))",
+        "tests/methods/test_importance_refinement.py -k highest_contrast",
+    ),
+    Bug(
+        "light that has died out counts at greater lengths",
+        "adjoint_gi/core/radiosity/relaxation.py",
+        "kept = above if length <= low else kept\n",
+        "pass\n",
+        "tests/core/test_transports.py -k died_out",
+    ),
+    Bug(
+        "budgets of rays and errors are unused, too",
+        "adjoint_gi/core/comparison/effort.py",
+        'if budget.kind != "time" or seconds',
+        "if seconds",
+        "tests/core/test_comparison.py -k can_be_unused",
+    ),
+    Bug(
+        "bins share kernels of lobes with and without a coat",
+        "adjoint_gi/core/directional/scattering.py",
+        "None if coating is None else done)",
+        "None)",
+        "tests/core/test_directions.py -k same_lobe_without",
+    ),
+    Bug(
+        "next to nothing that a denoiser leaves is scaled up",
+        "adjoint_gi/core/denoise/step.py",
+        "keeps = after <= 1e-3 * before",
+        "keeps = after <= 0 * before",
+        "tests/core/test_denoise.py -k as_a_whole",
+    ),
 )
 
 

@@ -480,3 +480,9 @@ def test_the_page_says_how_much_of_a_reference_is_known():
     known = Reference("Known", np.ones((4, 3)), np.array([True, False, False, False]), 0.0)
     text = page._first(SimpleNamespace(entries=[1, 2], budget=Budget("time", 2.0), reference=known))
     assert text == "2 methods, equal time, 2 s each. Reference: Known (exact), known for 25 % of the receivers."
+
+
+@pytest.mark.parametrize("budget, told", [("time=10", True), ("rays=1e6", False), ("error=0.1", False)])
+def test_only_a_budget_of_time_can_be_unused(budget, told):
+    assert (effort.unused_budget("Exact", CountSettings(), 1.0, Budget.parse(budget)) is not None) == told
+    assert effort.unused_budget("Exact", CountSettings(), 9.5, Budget.parse(budget)) is None

@@ -9,7 +9,7 @@ import pytest
 from adjgi.adjoint_gi.core.denoise import wavelets
 from adjgi.adjoint_gi.core.denoise.ground import GridNeighbours, Ground, pixel_ground, texel_ground, vertex_ground
 from adjgi.adjoint_gi.core.denoise.images import BORDER, Tile, image_denoiser
-from adjgi.adjoint_gi.core.denoise.step import NoisyLight, can_denoise, denoised, noisy_share, own_denoiser, trusted
+from adjgi.adjoint_gi.core.denoise.step import NoisyLight, can_denoise, denoised, merged, noisy_share, own_denoiser, trusted
 from adjgi.adjoint_gi.core.denoise.wavelets import smoothed
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.method.registry import method
@@ -337,3 +337,14 @@ def test_pixels_lie_where_their_rays_meet_the_floor():
     assert np.abs(ground.position[:, 2]).max() < 1e-5
     middle_of_all = ground.position.mean(axis=0)
     assert middle_of_all[:2] == pytest.approx([1 + 2 * 0.6 / 0.8, 0], abs=0.3) and np.ptp(ground.position[:, 1]) > 0.5
+
+
+@pytest.mark.parametrize("left, kept", [(0.0, True), (1e-4, True), (0.5, False)])
+def test_what_a_denoiser_takes_away_as_a_whole_stays(left, kept):
+    """Of a single bright texel next to nothing may be left, which scaled up would be another picture."""
+    ground = grid(np.zeros((4, 4), np.int64))
+    values = np.zeros((16, 3), np.float32)
+    values[5] = 8.0
+    smooth = np.full((16, 3), left / 2, np.float32)
+    found = merged(NoisyLight("direct", values, np.ones(16, np.float32), np.ones(16, bool)), smooth, np.ones(16), ground)
+    np.testing.assert_allclose(found, values if kept else 0.5, atol=1e-6)

@@ -250,3 +250,22 @@ def test_dimming_is_the_mean_over_each_bin():
     """Of the square of the cosine, which falls evenly from row to row, in all columns alike."""
     found = Bins(4, 3).dimming(lambda cosine: cosine**2)
     assert found == pytest.approx(np.repeat(1 - (np.arange(4) + 0.5) / 4, 3), rel=1e-9)
+
+
+def test_kernels_below_a_coat_are_not_those_of_the_same_lobe_without_one():
+    """However many materials share the lobe."""
+    rough, coat = Lobe("rough diffuse", Color.of(0.8), 0.7), Lobe("specular", Color.of(1.0), 0.3, 1.5)
+    bare, coated = Material("Bare", (rough,)), Material("Coated", (rough, coat))
+
+    def kernels(*materials):
+        b = SceneBuilder()
+        for k, material in enumerate(materials):
+            b.quad(f"Quad {k}", (2 * k, 0, 0), (1, 0, 0), (0, 1, 0), material)
+        elements = Elements(World(b.build()), 1.0)
+        made = Scattering.ready(elements, bsdf.BsdfTable(elements.world.scene), Bins(2, 4), 1 << 12).materials
+        return [np.sum([part.same for part in m.parts], axis=0) for m in made]
+
+    alone = [*kernels(bare), *kernels(coated)]
+    assert np.abs(alone[0] - alone[1]).max() > 0.01
+    np.testing.assert_allclose(kernels(bare, coated), alone, rtol=1e-12)
+    np.testing.assert_allclose(kernels(coated, bare), alone[::-1], rtol=1e-12)

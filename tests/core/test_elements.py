@@ -229,6 +229,17 @@ def test_smooth_shading_joins_across_an_edge_that_flat_shading_keeps():
         assert elements.nodes.count == (len(vertices) if joined else 3 * len(triangles))
 
 
+def test_corners_of_quads_have_the_normals_of_their_own_triangles():
+    """Normals that no first triangle of a quad foretells are those of its neighbours all the same, so four quads share their corners."""
+    place = np.array([(x, y, 0) for y in range(3) for x in range(3)], float)
+    bent = np.column_stack([0.3 * place[:, 0] * place[:, 1], np.zeros(9), np.ones(9)])
+    first = np.array([0, 1, 3, 4])
+    triangles = np.stack([np.stack([first, first + 1, first + 4], axis=1), np.stack([first, first + 4, first + 3], axis=1)], axis=1)
+    scene = mesh(place, triangles.reshape(-1, 3), np.repeat(np.arange(4), 2), smooth_normals=bent)
+    elements = Elements(World(scene), 10.0)
+    assert elements.is_quad.all() and elements.count == 4 and elements.nodes.count == 9
+
+
 def test_element_receivers_lie_on_their_own_side(elements):
     receivers = ElementReceivers(elements)
     seen = np.zeros(receivers.count)

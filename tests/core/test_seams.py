@@ -185,3 +185,13 @@ def test_ends_of_edges_are_one_by_distance():
     place = rng.uniform(-5, 5, (3000, 3))
     ids = weld_near(np.concatenate([place, place + rng.uniform(-1, 1, place.shape) * 2e-6]), 1e-4)
     assert (ids[:3000] == ids[3000:]).mean() > 0.99 and len(np.unique(ids)) >= 2950
+
+
+def test_a_correction_goes_on_in_charts_and_not_over_their_borders():
+    """The last floor lies far away, and its texels beside those of the first."""
+    world = floors(np.array([(4, 4), (36, 4), (36, 36), (4, 30)]) / SIDE)
+    lightmap, seams = seams_of(world, (0, 1, 3))
+    x = place_of(world, lightmap)[:, 0]
+    light = np.repeat(0.5 + 0.5 * (x > 1)[:, None], 3, axis=1).astype(np.float32)
+    moved = np.abs(seams.closed(light) - light).max(axis=1)
+    assert seams.count > 20 and moved[x < 1].max() > 0.1 and moved[x > 2].max() == 0

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.core.base.errors import SceneError
 from adjgi.adjoint_gi.core.base.settings import NO_LIMIT
 from adjgi.adjoint_gi.core.elements.elements import Elements
 from adjgi.adjoint_gi.core.elements.rays import ElementRays
@@ -12,7 +15,7 @@ from adjgi.adjoint_gi.core.radiosity.factor_matrix import FactorMatrix
 from adjgi.adjoint_gi.core.radiosity.relaxation import gauss_seidel, jacobi, lengths
 from adjgi.adjoint_gi.core.radiosity.southwell import DiffuseShooting
 from adjgi.adjoint_gi.core.radiosity.transports import FreshRayTransport, MatrixTransport, RayTransport
-from adjgi.adjoint_gi.core.radiosity.trapped import trapped
+from adjgi.adjoint_gi.core.radiosity.trapped import Trap, trapped
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import closed_forms, scenes
 
@@ -285,6 +288,37 @@ def test_light_that_cannot_leave_is_found():
     open_ = cube_matrix(1.0)
     open_.sky = np.array([0, 0, 0, 0, 0, 0.1])
     assert not trapped(open_).any()
+
+
+@pytest.mark.parametrize("absorbed, escaped, caught", [(0.0, 0.0, True), (1e-4, 1e-4, True), (0.01, 0.0, False), (0.0, 0.01, False)])
+def test_light_that_is_sent_on_and_on_is_caught_unless_it_is_absorbed_or_escapes(absorbed, escaped, caught):
+    """10 W were sent for 1 W that is left, of which a thousandth of a watt must have been lost."""
+    scene = SceneBuilder()
+    scene.quad("Floor", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Snow", 1.0))
+    elements = Elements(World(scene.build()), 1.0)
+    zero, sides = np.zeros(3), 2 * elements.count
+    state = SimpleNamespace(overshoot=False, sent=zero, absorbed=zero, escaped=zero, cut=zero, remaining=lambda: np.ones(3))
+    state.transport, state.unshot = SimpleNamespace(area=np.ones(sides)), np.ones((1, sides, 3))
+    trap = Trap(state)
+    trap.check(elements)
+    state.sent, state.absorbed, state.escaped = zero + 10, zero + absorbed, zero + escaped
+    if caught:
+        with pytest.raises(SceneError, match="Material Snow: reflects all light"):
+            trap.check(elements)
+    else:
+        trap.check(elements)
+
+
+@pytest.mark.parametrize(
+    "low, high, counted", [(1, NO_LIMIT, 0.5), (2, NO_LIMIT, 0.5), (3, NO_LIMIT, 0), (4, NO_LIMIT, 0), (4, 9, 0), (2, 9, 0.5)]
+)
+def test_light_that_has_died_out_counts_at_no_greater_length(low, high, counted):
+    """A black lamp sees a grey plate alone: light comes back to it by two segments, and goes no farther."""
+    transport = MatrixTransport(np.ones(2), np.repeat([[0.0], [0.5]], 3, axis=1), np.array([[0.0, 1.0], [1.0, 0.0]]), np.zeros(2))
+    emitted, none = np.array([[1.0] * 3, [0.0] * 3]), np.zeros((2, 3))
+    direct, indirect = lengths(transport, emitted, none, np.array([[0.5] * 3, [1.0] * 3]), low, high)
+    np.testing.assert_allclose(direct, [[0.0] * 3, [float(low <= 1)] * 3])
+    np.testing.assert_allclose(indirect, [[counted] * 3, [0.0] * 3])
 
 
 # ---- rays as transports

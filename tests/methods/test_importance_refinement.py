@@ -122,3 +122,16 @@ def test_importance_is_a_share_of_the_mean_by_area():
     # Potential 1 + (rho F)^2 of the receiver, and rho F of the square at right angles to it; areas are 1, 1 and 4.
     factor = 0.5 * 0.2
     assert weight == pytest.approx([factor / ((1 + factor**2 + factor) / 6), 1, 0], rel=0.15)
+
+
+def test_where_not_all_may_be_cut_those_of_the_highest_contrast_are(monkeypatch):
+    monkeypatch.setattr(adaptive, "GROWTH", 2)
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
+    world = World(b.build())
+    base = Elements(world, 0.125)
+    light = np.repeat((1 + base.centroid[:, :1] - base.centroid[:, :1].min()) ** 3 * np.ones(3), 2, axis=0)
+    division = adaptive.Subdivision(base, Emitters(world), 16, 1e-3, 0.0)
+    split, change = division._choose(light), adaptive.contrast(base, light)
+    assert division.full and split.sum() == base.count // 3
+    assert change[split].min() >= change[~split].max() and change[split].max() > change[~split].max()

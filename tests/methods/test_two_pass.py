@@ -140,6 +140,16 @@ def test_light_of_a_point_lamp_over_a_mirror():
     assert not none.outside.caustics.total.any() and np.allclose(none.total[2], straight)
 
 
+def test_light_of_the_background_over_a_mirror_is_met_by_rays():
+    """So what is known of it does not count beside what they find."""
+    b = SceneBuilder()
+    b.quad("Mirror", (0, 0, 0), (1, 0, 0), (0, 1, 0), MIRROR)
+    b.quad("Wall", (0, 0, 0), (0, 1, 0), (0, 0, 1), diffuse("Wall", 0.5))
+    b.background = (1.0, 1.0, 1.0)
+    caustics = first_pass(b.build(), 100.0, particles=4096, rays=16).outside.caustics
+    assert caustics.total[2].min() > 0.1 and not caustics.unmet.any()
+
+
 def test_light_of_a_lamp_with_a_size_through_a_pane():
     """Particles from the lamp bring what rays that meet the lamp through the pane find; the pane is thick, so both its faces refract."""
     glass = Material("Glass", (Lobe("glass", Color.of(1, 0.9, 0.8), 0.0, 1.5),))
