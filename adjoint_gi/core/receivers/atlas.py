@@ -15,7 +15,7 @@ MOST = min(64, max(8, 1024 // (os.cpu_count() or 1)))
 REST = 2.0  # s after which all that are kept go
 
 _kept: deque[xatlas.Atlas] = deque()
-_last = 0.0  # monotonic time of the last `generate`
+_come = 0  # atlases so far
 _lock = threading.Lock()
 _watched = False  # whether a thread waits for the rest to be over
 
@@ -26,12 +26,12 @@ def generate(atlas: xatlas.Atlas, options: xatlas.PackOptions) -> None:
     When an atlas is taken apart, xatlas 0.0.11 wakes its threads without the lock by which they fall asleep: one that is just about to
     misses that, and the program waits for it for ever. On a busy machine a thread may stand at that point for many milliseconds.
     """
-    global _last, _watched
+    global _come, _watched
     atlas.generate(xatlas.ChartOptions(), options)
     time.sleep(NAP)
     with _lock:
         _kept.append(atlas)
-        _last = time.monotonic()
+        _come += 1
         gone = [_kept.popleft() for _ in range(len(_kept) - MOST)]
         watch, _watched = not _watched, True
     del gone  # outside of the lock, as it takes a while
@@ -42,10 +42,12 @@ def generate(atlas: xatlas.Atlas, options: xatlas.PackOptions) -> None:
 def _let_go() -> None:
     """Take apart what is kept once no other atlas has come for a while."""
     global _watched
+    seen = 0
     while True:
         time.sleep(REST)
         with _lock:
-            if time.monotonic() - _last < REST:
+            if seen != _come:
+                seen = _come
                 continue
             gone = list(_kept)
             _kept.clear()
