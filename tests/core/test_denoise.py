@@ -348,3 +348,10 @@ def test_what_a_denoiser_takes_away_as_a_whole_stays(left, kept):
     smooth = np.full((16, 3), left / 2, np.float32)
     found = merged(NoisyLight("direct", values, np.ones(16, np.float32), np.ones(16, bool)), smooth, np.ones(16), ground)
     np.testing.assert_allclose(found, values if kept else 0.5, atol=1e-6)
+
+
+def test_what_a_denoiser_makes_negative_is_dark():
+    ground, values = grid(np.zeros((2, 4), np.int64)), np.ones((8, 3), np.float32)
+    smooth = np.where(np.arange(8) == 3, -5.0, 1.0)[:, None] * np.ones(3, np.float32)
+    found = merged(NoisyLight("direct", values, np.ones(8, np.float32), np.ones(8, bool)), smooth, np.ones(8), ground)
+    np.testing.assert_allclose(found, np.where(np.arange(8) == 3, 0, 8 / 7)[:, None] * np.ones(3), rtol=1e-6)

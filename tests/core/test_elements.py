@@ -381,6 +381,18 @@ def test_contrast_is_high_at_a_step_and_none_where_light_is_even():
     assert (change[near] > 0.4).all() and (change[~near] < 1e-6).all()
 
 
+@pytest.mark.parametrize("polygon", [[0], [0, 0]], ids=["triangle", "square"])
+def test_light_that_is_smoothed_over_the_base_keeps_its_slopes(polygon):
+    """Triangles that stand upside down in their patch look themselves up as they lie."""
+    scene = mesh(SQUARE, [(0, 1, 2), (0, 2, 3)][: len(polygon)], polygon)
+    base = Elements(World(scene), 0.1)
+    fine = RefinedElements(base, np.ones(base.count, bool))
+    found = smoothed(fine, base, np.repeat(fine.centroid[:, :2], 2, axis=0))[::2]
+    inner = np.abs(fine.centroid[:, :2] - fine.centroid[:, :2].mean(axis=0)).max(axis=1) < 0.08
+    assert inner.sum() >= 8
+    np.testing.assert_allclose(found[inner], fine.centroid[inner, :2], atol=1e-4)
+
+
 def two_quads(second, edge):
     """Elements of a square of side 1 and a rectangle of `second` x 1 beside it."""
     b = SceneBuilder()
@@ -434,3 +446,14 @@ def test_receivers_of_element_corners_lie_a_tenth_of_the_way_to_the_middle():
         corner = nodes.vertices[np.repeat(np.arange(nodes.count), np.diff(nodes.start))]
         middle = elements.centroid[element] + elements.world.center
         np.testing.assert_allclose(at, corner + INSET * (middle - corner), atol=1e-5)
+
+
+@pytest.mark.parametrize("second, count", [("Grey", 6), ("Other", 8)])
+def test_elements_share_corners_within_a_material(second, count):
+    place = np.array([(x, y, 0) for y in range(2) for x in range(3)], float)
+    b = SceneBuilder()
+    materials = [diffuse("Grey", 0.5), diffuse("Other", 0.2)]
+    triangles = np.array([(0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4)])
+    which = np.array([0, 0, 1, 1]) * (second == "Other")
+    b.mesh("Strip", place, triangles, materials, polygon=np.array([0, 0, 1, 1]), which=which)
+    assert ElementNodes(Elements(World(b.build()), 10.0), [0]).count == count

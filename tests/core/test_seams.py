@@ -195,3 +195,14 @@ def test_a_correction_goes_on_in_charts_and_not_over_their_borders():
     light = np.repeat(0.5 + 0.5 * (x > 1)[:, None], 3, axis=1).astype(np.float32)
     moved = np.abs(seams.closed(light) - light).max(axis=1)
     assert seams.count > 20 and moved[x < 1].max() > 0.1 and moved[x > 2].max() == 0
+
+
+def test_normals_of_both_sides_are_those_of_one_place():
+    """The edges of two floors run against one another, and the surface bends along them."""
+    square, faces = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float), np.array([[0, 1, 2], [0, 2, 3]])
+    b = SceneBuilder()
+    for x, corner in enumerate((0.05, 0.55)):
+        vertices = np.column_stack([square + [x, 0], np.zeros(4)])
+        bent = np.column_stack([np.zeros(4), square[:, 1] - 0.5, np.ones(4)])
+        b.mesh(f"Floor {x}", vertices, faces, diffuse("Grey", 0.5), uv=(square * 0.4 + corner)[faces], smooth_normals=bent)
+    assert seams_of(World(b.build()), (0, 1))[1].count == seams_of(floors(((0.05, 0.05), (0.55, 0.55))), (0, 1))[1].count

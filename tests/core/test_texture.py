@@ -9,6 +9,7 @@ from adjgi.adjoint_gi.core.base.color import decode_srgb
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder
 from adjgi.adjoint_gi.core.scene import texture as textures
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material, Source, Term
+from adjgi.adjoint_gi.core.scene.passing import Passing
 from adjgi.adjoint_gi.core.scene.shading import LARGEST_EMISSION, Shading
 from adjgi.adjoint_gi.core.scene.texture import Texture, as_bytes, compact, sample_texture, shrunk
 
@@ -133,3 +134,23 @@ def test_what_pictures_reflect_and_emit_stays_within_what_can_be_computed():
     at = np.zeros(1, np.int32), np.full(1, 0.25, np.float32), np.full(1, 0.25, np.float32)
     assert shading.emission(*at)[0] == pytest.approx([LARGEST_EMISSION, 0, 5e5])
     assert shading.albedo(*at)[0] == pytest.approx([1, 0, 0.5])
+
+
+@pytest.mark.parametrize("channel", [0, 1, 2])
+def test_an_image_is_grey_where_all_three_channels_agree(channel):
+    stored = np.full((3, 4, 3), 100, np.uint8)
+    assert Texture("Image", stored.copy()).is_grey
+    stored[1, 2, channel] = 101
+    assert not Texture("Image", stored).is_grey
+
+
+@pytest.mark.parametrize("straight, scattered, tinted", [(0.99, 0.01, True), (0.9, 0.1, False), (0.99, 0.0, False), (1.0, 0.0, False)])
+def test_chances_to_pass_are_no_colours_where_they_are_capped(straight, scattered, tinted):
+    """Some rays must meet what scatters, so that those which pass carry more than their share."""
+    b = SceneBuilder()
+    lobes = (Lobe("transparent", Color.of(straight)), *([Lobe("diffuse", Color.of(scattered))] if scattered else []))
+    b.quad("Pane", (0, 0, 0), (1, 0, 0), (0, 1, 0), Material("Pane", lobes))
+    passing = Passing.of(b.build())
+    one, third = np.zeros(1, np.int64), np.full(1, 1 / 3, np.float32)
+    assert passing.tinted == tinted
+    assert passing.grey(one, third, third)[0] * passing.color(one, third, third) == pytest.approx(np.full((1, 3), straight))

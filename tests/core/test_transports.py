@@ -12,7 +12,7 @@ from adjgi.adjoint_gi.core.elements.elements import Elements
 from adjgi.adjoint_gi.core.elements.rays import ElementRays
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.radiosity.factor_matrix import FactorMatrix
-from adjgi.adjoint_gi.core.radiosity.relaxation import gauss_seidel, jacobi, lengths
+from adjgi.adjoint_gi.core.radiosity.relaxation import System, gauss_seidel, jacobi, lengths
 from adjgi.adjoint_gi.core.radiosity.southwell import DiffuseShooting
 from adjgi.adjoint_gi.core.radiosity.transports import FreshRayTransport, MatrixTransport, RayTransport
 from adjgi.adjoint_gi.core.radiosity.trapped import Trap, trapped
@@ -319,6 +319,29 @@ def test_light_that_has_died_out_counts_at_no_greater_length(low, high, counted)
     direct, indirect = lengths(transport, emitted, none, np.array([[0.5] * 3, [1.0] * 3]), low, high)
     np.testing.assert_allclose(direct, [[0.0] * 3, [float(low <= 1)] * 3])
     np.testing.assert_allclose(indirect, [[counted] * 3, [0.0] * 3])
+
+
+@pytest.mark.parametrize("low", [0, 1, 2, 3, 4])
+@pytest.mark.parametrize("tint", [None, (1.0, 0.5, 0.2)])
+def test_flux_is_accounted_for_whatever_counts_and_lies_on_the_way(low, tint):
+    """Two plates with a tinted sheet between them, whose light escapes by two fifths at most."""
+    factors, sky = np.array([[0.0, 0.6], [0.6, 0.0]]), np.full(2, 0.4)
+    if tint is not None:
+        factors, sky = np.array(tint)[:, None, None] * factors, np.full((2, 3), 0.4)
+    transport, emitted = MatrixTransport(np.array([1.0, 1.0]), np.full((2, 3), 0.5), factors, sky), np.array([[1.0] * 3, [0.0] * 3])
+    *_, last = jacobi(transport, emitted, np.zeros((2, 3)), 1e-14, 200)
+    balance = System(transport, emitted, np.zeros((2, 3)), low, NO_LIMIT).counted(last.irradiance)[2]
+    radiosity = emitted + 0.5 * last.irradiance
+    assert balance.escaped == pytest.approx(0.4 * radiosity.sum())
+    assert balance.absorbed == pytest.approx(3 - balance.escaped) and abs(balance.unshot) < 1e-9 and balance.emitted == 3
+
+
+def test_light_that_arrives_later_has_flown_before():
+    transport = MatrixTransport(np.ones(2), np.full((2, 3), 0.5), np.array([[0.0, 1.0], [1.0, 0.0]]), np.zeros(2))
+    state = DiffuseShooting(transport, np.zeros((2, 3)), np.array([[1.0] * 3, [0.0] * 3]))
+    state.arrive_later(np.array([[0.0] * 3, [4.0] * 3]))
+    assert state.direct[:, 0].tolist() == state.first[:, 0].tolist() == [1, 0] and state.indirect[:, 0].tolist() == [0, 4]
+    assert state.emitted.tolist() == [5] * 3 and state.absorbed.tolist() == [2.5] * 3 and state.remaining().tolist() == [2.5] * 3
 
 
 # ---- rays as transports

@@ -10,7 +10,7 @@ from adjgi.adjoint_gi.core.receivers import conformal, uv_check
 from adjgi.adjoint_gi.core.receivers import unwrap as module
 from adjgi.adjoint_gi.core.receivers.charts import Charts, Mesh, area_vectors, carry, islands, signed_areas, smooth_regions
 from adjgi.adjoint_gi.core.receivers.conformal import MAX_REGION_TRIANGLES, cut_off, make_charts
-from adjgi.adjoint_gi.core.receivers.projection import opened, pieces
+from adjgi.adjoint_gi.core.receivers.projection import opened, pieces, project
 from adjgi.adjoint_gi.core.receivers.rasterize import row_blocks
 from adjgi.adjoint_gi.core.receivers.runs import UvTriangles
 from adjgi.adjoint_gi.core.receivers.unwrap import unwrap
@@ -350,3 +350,22 @@ def test_a_roof_is_cut_along_its_ridge_where_that_is_sharp(tilt, parts):
     place = np.array([[0, 0, 0], [0, 2, 0], [1, 0, -h], [1, 2, -h], [-1, 0, -h], [-1, 2, -h]])
     roof = Mesh(place, np.array([[0, 2, 3], [0, 3, 1], [0, 1, 5], [0, 5, 4]]), np.array([0, 0, 1, 1]))
     assert len(np.unique(pieces(roof))) == parts
+
+
+def test_a_chart_whose_mean_leaves_a_face_too_steep_is_laid_along_its_main_axis():
+    """Two faces turned by 40 degrees to either side, one of them small: both keep cos 40 of their area."""
+    c, s = np.cos(np.radians(40)), np.sin(np.radians(40))
+    edge = np.array([[0, 0, 0], [0, 1, 0]], float)
+    vertices = np.concatenate([edge, edge + [-9 * c, 0, -9 * s], edge + [c, 0, -s]])
+    mesh = Mesh(vertices, np.array([[0, 1, 2], [1, 3, 2], [0, 4, 1], [1, 4, 5]]), np.array([0, 0, 1, 1]))
+    area = np.linalg.norm(area_vectors(mesh.corners()), axis=1)
+    flat = np.abs(signed_areas(project(mesh, np.zeros(4, np.int64)).xy))
+    np.testing.assert_allclose(flat / flat.sum(), area / area.sum(), rtol=1e-6)
+
+
+def test_a_texel_of_two_charts_is_too_close_to_both():
+    """A tiny face below the border of a large one, within the texels of that border."""
+    triangle = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
+    meshes = [Mesh(size * triangle, np.array([[0, 1, 2]]), np.zeros(1, np.int64)) for size in (1.0, 0.02)]
+    uv = np.array([[(6.4, 6.4), (40, 6.4), (6.4, 40)], [(12.1, 6.05), (12.9, 6.05), (12.1, 6.35)]], np.float32) / 64
+    assert check(meshes, uv, 64, 1).close > 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -135,3 +136,12 @@ def test_where_not_all_may_be_cut_those_of_the_highest_contrast_are(monkeypatch)
     split, change = division._choose(light), adaptive.contrast(base, light)
     assert division.full and split.sum() == base.count // 3
     assert change[split].min() >= change[~split].max() and change[split].max() > change[~split].max()
+
+
+def test_an_element_matters_as_much_as_the_side_that_matters_more(monkeypatch):
+    b = SceneBuilder()
+    for x in (0, 2):
+        b.quad(f"Quad {x}", (x, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
+    alone = SimpleNamespace(on_elements=lambda _: np.array([1.0, 0.0, 1.0, 1.0])[:, None] * np.ones(3))
+    monkeypatch.setattr(adaptive.RayTransport, "cast", lambda *_: SimpleNamespace(adjoint=np.zeros_like))
+    np.testing.assert_allclose(adaptive.importance(Elements(World(b.build()), 1.0), alone), 1.0)

@@ -228,3 +228,19 @@ def test_paths_of_a_least_length_by_way_of_a_mirror_and_a_diffuse_surface_that_a
     options = {"samples": 256, "rays": 256, "max_edge": 0.5, "particles": 0, "direct_light": "elements"}
     found = solve(world, receivers, gather=True, min_length=3, **options)
     assert found.indirect.mean() == pytest.approx(exact, rel=0.05)  # elements of 0.5 m; one length too few takes 14 %
+
+
+@pytest.mark.parametrize(
+    "low, high, segments, counts", [(0, 2, 0, True), (0, 2, 1, False), (3, 8, 0, False), (3, 8, 1, True), (3, 8, 7, False)]
+)
+def test_what_no_ray_meets_counts_where_its_whole_path_does(low, high, segments, counts):
+    """It has two segments, and flies `segments` more."""
+    unmet = first_pass(scenes.lamp_over_mirror(), 100.0, particles=4096, rays=16).outside.caustics.unmet_light(low, high)
+    assert unmet.lengths(segments)[1].any() == counts
+
+
+@pytest.mark.parametrize("shortest, share", [(1, 2**-8), (3, 2**-6), (5, 2**-4)])
+def test_what_is_longer_than_the_longest_is_a_share_of_what_counts(shortest, share):
+    """In a furnace of albedo 1/2 every length has half the light of the one before, and eight may count."""
+    first = first_pass(scenes.cube(0.5, 1.0), rays=64, min_length=shortest, max_length=8)
+    assert first.left_out() == pytest.approx(share, rel=1e-3)
