@@ -2105,6 +2105,13 @@ BUGS = (
         "t",
         "tests/core/test_seams.py -k those_of_one_place",
     ),
+    Bug(
+        "bins give back what bounces between facets without its colour",
+        "adjoint_gi/core/directional/scattering.py",
+        "shares += [share * kept for share in shares]",
+        "shares += [share + 0 * kept for share in shares]",
+        "tests/core/test_bsdf.py -k bounces_between_facets",
+    ),
 )
 
 

@@ -420,6 +420,19 @@ def test_elements_with_directions_scatter_a_rough_diffuse_lobe_as_it_is(many, co
         assert (np.abs(got[out] - f[here].mean(axis=0)) < 5 * error + 0.02 * got[out]).all()
 
 
+@pytest.mark.parametrize("kind", ["metallic", "glossy"])
+def test_elements_with_directions_colour_what_bounces_between_facets(kind):
+    """As often as it bounces: even light is reflected as by the BSDF."""
+    lobes, n, rng = [Lobe(kind, C(0.2, 0.5, 0.9), 1.0, multiscatter=True)], 1 << 17, np.random.default_rng(6)
+    b = SceneBuilder()
+    b.quad("Quad", (0, 0, 0), (1, 0, 0), (0, 1, 0), Material("M", tuple(lobes)))
+    world, bins = World(b.build()), Bins(4, 8)
+    scattering = Scattering.ready(Elements(world, 2.0), bsdf.BsdfTable(world.scene), bins, n)
+    wo, wi = (local_cosine_directions(rng.random((2, n), np.float32)) for _ in range(2))
+    want = np.pi * (bsdf.evaluate(lobes_at(lobes, wo), wi)[0] / wi[:, 2:]).mean(axis=0)
+    np.testing.assert_allclose(scattering.apply(np.ones((2, bins.size, 3)))[0].mean(axis=0), want, rtol=0.02)
+
+
 @pytest.mark.parametrize("kind", ["diffuse", "rough diffuse"])
 def test_white_below_a_white_coat_loses_nothing(kind):
     """What the coat takes from light on its way in and out comes back between the two."""
