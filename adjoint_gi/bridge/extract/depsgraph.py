@@ -67,14 +67,34 @@ def extracting(resolution: tuple[int, int] | None = None, real: Mapping[str, bpy
             now = changes.count(), depsgraph.as_pointer(), bpy.context.scene.session_uid
             if seen not in (None, now):
                 break
-            seen, began = now, time.monotonic()
+            seen, turn = now, Turn()
             with unhidden(depsgraph.view_layer):
                 # What is shown for the moment is evaluated for it, and gone afterwards.
                 at_once = last or changes.count() != now[0]
-                if reading.go_on(depsgraph, lambda: not at_once and time.monotonic() - began > SLICE):  # noqa: B023
+                if reading.go_on(depsgraph, (lambda: False) if at_once else turn.over, turn.back):
                     return (yield Aside("Placing the meshes", SCENES.arranged(reading.key, reading.arranging)))
             yield "Reading the scene"
     raise AssertionError("the last attempt reads all at once")
+
+
+class Turn:
+    """How long one slice goes on: `SLICE`, and as long as it took to come back to where the last one ended.
+
+    So the way back, which grows with the number of instances, is never more than half of the work.
+    """
+
+    def __init__(self) -> None:
+        self._began = time.monotonic()
+        self._end = self._began + SLICE
+
+    def back(self) -> None:
+        """It has come back."""
+        now = time.monotonic()
+        self._end = now + SLICE + (now - self._began)
+
+    def over(self) -> bool:
+        """Whether it ends."""
+        return time.monotonic() > self._end
 
 
 class Reading:
@@ -86,8 +106,9 @@ class Reading:
         self._real = real
         self._copied: Copied | None = None
 
-    def go_on(self, depsgraph: bpy.types.Depsgraph, over: Callable[[], bool]) -> bool:
-        """Ask Blender until `over()`; returns whether all was asked. Nothing may have changed in the depsgraph between two calls."""
+    def go_on(self, depsgraph: bpy.types.Depsgraph, over: Callable[[], bool], back: Callable[[], None] = lambda: None) -> bool:
+        """Ask Blender until `over()`; returns whether all was asked. Nothing may have changed in the depsgraph between two calls. `back` as
+        `InstanceWalk.go_on` has it."""
         # Step 1: copy meshes, materials and lamps while walking over the instances (temporary objects die after the walk).
         if self._materials is None:
             working_space_notice(self._notices)
@@ -95,7 +116,7 @@ class Reading:
             self._walk = InstanceWalk(self._materials.index_of, self._materials.bodiless, self._notices, self._real)
         materials, walk, notices = self._materials, self._walk, self._notices
         materials.depsgraph = depsgraph
-        if not walk.go_on(depsgraph, over):
+        if not walk.go_on(depsgraph, over, back):
             return False
 
         # Step 2: what is not geometry.

@@ -75,13 +75,19 @@ class InstanceWalk:
         """Visit every object and instance once and copy what is needed of it."""
         self.go_on(depsgraph, lambda: False)
 
-    def go_on(self, depsgraph: bpy.types.Depsgraph, over: Callable[[], bool]) -> bool:
-        """`run`, until `over()`; returns whether it has come to the end. Nothing may have changed in the depsgraph between two calls."""
+    def go_on(self, depsgraph: bpy.types.Depsgraph, over: Callable[[], bool], back: Callable[[], None] = lambda: None) -> bool:
+        """`run`, until `over()`; returns whether it has come to the end. Nothing may have changed in the depsgraph between two calls.
+
+        `back()` is called once the walk is back where it ended last, for which Blender has to go through its list again.
+        """
         if self._visibility is None:
             self._visibility = Visibility(depsgraph, self._notices)
+        first = self._done
         for number, inst in enumerate(depsgraph.object_instances):
-            if number < self._done:
+            if number < first:
                 continue
+            if number == first:
+                back()
             if not self._visit(inst, depsgraph, over):
                 return False
             self._done = number + 1
