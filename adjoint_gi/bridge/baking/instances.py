@@ -60,6 +60,18 @@ class Asked:
         return self.name if self.whole else self.title
 
 
+@dataclass(frozen=True, eq=False)
+class Before:
+    """An object of an earlier bake before it is renewed: session_uids of it, of its mesh and of the materials, and its state."""
+
+    uid: int
+    mesh: int
+    matrix: Matrix
+    sum: str
+    sheared: bool
+    materials: list[int | None]
+
+
 @dataclass(eq=False)
 class Real:
     """Objects made, by the name that extraction has for what each was made of.
@@ -72,7 +84,9 @@ class Real:
     left_out: dict[str, str] = field(default_factory=dict)
     notices: list[Notice] = field(default_factory=list)
     undo: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
-    _old_objects: list[int] = field(default_factory=list)  # session_uids, because an undo step of Blender moves datablocks
+    _new_objects: list[int] = field(default_factory=list)  # session_uids, because an undo step of Blender moves datablocks
+    _renewed: list[Before] = field(default_factory=list)
+    _old_objects: list[int] = field(default_factory=list)
     _old_meshes: list[int] = field(default_factory=list)
 
     def fitting(self, notices: list[Notice]) -> list[Notice]:
@@ -224,6 +238,7 @@ def _place(scene: bpy.types.Scene, request: BakeRequest, found: list[Asked], mad
         collection[REALS] = True
         scene.collection.children.link(collection)
         made.undo.callback(reals.remove, scene)
+    made.undo.callback(_go_back, made._renewed, made._new_objects)
     for f in found:
         obj = known.get(f.key)
         if obj is not None and not obj.modifiers and obj.data.users == 1:
@@ -231,9 +246,9 @@ def _place(scene: bpy.types.Scene, request: BakeRequest, found: list[Asked], mad
         else:
             obj = _new(collection, f, made)
         made.objects[f.name], made.left_out[obj.name] = obj, f.left_out
+    made.undo.callback(_put_back, scene, made._old_objects)
     for obj in known.values():  # what they were made of is gone
         collection.objects.unlink(obj)
-        made.undo.callback(_put_back, scene, obj.session_uid)
         made._old_objects.append(obj.session_uid)
 
 
@@ -241,7 +256,7 @@ def _new(collection: bpy.types.Collection, f: Asked, made: Real) -> bpy.types.Ob
     """An object for what had none; hidden until it is shown."""
     mesh, sheared, matrix, total = _shaped(f)
     obj = bpy.data.objects.new(f.title, mesh)
-    made.undo.callback(reals.remove_objects, [obj.session_uid])
+    made._new_objects.append(obj.session_uid)
     mesh.name = obj.name
     obj.hide_render = obj.hide_viewport = True
     obj[MADE] = True
@@ -259,24 +274,17 @@ def _renew(obj: bpy.types.Object, f: Asked, made: Real) -> None:
     """Bring an object of an earlier bake up to date: the mesh, with its UVs, stays where it is as it was."""
     mesh, sheared, matrix, total = _shaped(f)
     state = obj[REAL]
-    before = (
-        obj.data.session_uid,
-        obj.matrix_world.copy(),
-        state["sum"],
-        state["sheared"],
-        [m and m.session_uid for m in obj.data.materials],
-    )
+    materials = [m and m.session_uid for m in obj.data.materials]
+    made._renewed.append(Before(obj.session_uid, obj.data.session_uid, obj.matrix_world.copy(), state["sum"], state["sheared"], materials))
     obj.matrix_world = matrix
     if state["sum"] == total:
         bpy.data.meshes.remove(mesh)
         mesh = obj.data
-        made.undo.callback(_go_back, obj.session_uid, *before)
     else:
         preview.restore([obj])
         made._old_meshes.append(obj.data.session_uid)
         obj.data = mesh
         state["sum"], state["sheared"] = total, sheared
-        made.undo.callback(_go_back, obj.session_uid, *before)
     if [m for m in mesh.materials if m] != [m for m in f.materials if m] or len(mesh.materials) < len(f.materials):
         preview.restore([obj])
         _set_materials(mesh, f.materials)
@@ -302,27 +310,26 @@ def _set_materials(mesh: bpy.types.Mesh, materials: list[bpy.types.Material | No
         mesh.materials.append(material)
 
 
-def _go_back(uid: int, mesh: int, matrix: Matrix, total: str, sheared: bool, materials: list[int | None]) -> None:
-    """Undo `_renew`."""
-    obj = _object(uid)
-    old = next((m for m in bpy.data.meshes if m.session_uid == mesh), None)
-    if obj is None or old is None:
-        return
-    now, obj.data, obj.matrix_world = obj.data, old, matrix
-    obj[REAL]["sum"], obj[REAL]["sheared"] = total, sheared
-    if [m and m.session_uid for m in old.materials] != materials:
-        present = {m.session_uid: m for m in bpy.data.materials}
-        _set_materials(old, [present.get(m) for m in materials])
-    if now != old and now.users == 0:
-        bpy.data.meshes.remove(now)
+def _go_back(renewed: list[Before], new: list[int]) -> None:
+    """Undo `_renew` and `_new`, of all objects at once: looking for one takes as long as there are many."""
+    objects, meshes, materials = ({x.session_uid: x for x in kind} for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.materials))
+    unused = []
+    for before in renewed:
+        obj, old = objects.get(before.uid), meshes.get(before.mesh)
+        if obj is None or old is None:
+            continue
+        now, obj.data, obj.matrix_world = obj.data, old, before.matrix
+        obj[REAL]["sum"], obj[REAL]["sheared"] = before.sum, before.sheared
+        if [m and m.session_uid for m in old.materials] != before.materials:
+            _set_materials(old, [materials.get(m) for m in before.materials])
+        if now != old and now.users == 0:
+            unused.append(now)
+    bpy.data.batch_remove(unused)
+    reals.remove_objects(new)
 
 
-def _put_back(scene: bpy.types.Scene, uid: int) -> None:
-    """Undo that an object was taken from the collection."""
-    obj, collection = _object(uid), reals.collection_of(scene)
-    if obj is not None and collection is not None:
+def _put_back(scene: bpy.types.Scene, uids: list[int]) -> None:
+    """Undo that objects were taken from the collection."""
+    collection, wanted = reals.collection_of(scene), set(uids)
+    for obj in [o for o in bpy.data.objects if o.session_uid in wanted] if wanted and collection is not None else []:
         collection.objects.link(obj)
-
-
-def _object(uid: int) -> bpy.types.Object | None:
-    return next((o for o in bpy.data.objects if o.session_uid == uid), None)
