@@ -304,8 +304,12 @@ def _copying(uids: list[int], same: Callable[[], None]) -> Stages[list[PlanCopy]
     while len(copies) < len(uids):
         if changes.count() != seen:
             same()
-        objects, end = find_objects(tuple(uids[len(copies) :]), "Object"), time.monotonic() + SLICE
+        began = time.monotonic()
+        objects = find_objects(tuple(uids[len(copies) :]), "Object")
         with unhidden(bpy.context.view_layer):
+            # As long again as it took to come here, which grows with the number of objects.
+            now = time.monotonic()
+            end = now + SLICE + (now - began)
             for obj in objects:
                 copies.append(copy_for_plan(obj, bpy.context.view_layer))
                 if time.monotonic() > end:
