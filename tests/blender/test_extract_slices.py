@@ -12,7 +12,7 @@ import pytest
 from adjgi.adjoint_gi.bridge.extract import depsgraph, mesh
 from adjgi.adjoint_gi.bridge.extract.depsgraph import extract, extracting
 from adjgi.adjoint_gi.bridge.extract.instances import InstanceWalk
-from adjgi.adjoint_gi.bridge.host import meshes
+from adjgi.adjoint_gi.bridge.host import meshes, preparation
 from adjgi.adjoint_gi.bridge.host.notices import Notices
 from adjgi.adjoint_gi.bridge.host.preparation import Aside, finish_stages
 from adjgi.tests.blender.fakes import square
@@ -72,7 +72,7 @@ def at_once():
 
 def sliced(monkeypatch, between=lambda k: None):
     """The scene, with one piece of Blender's data in each slice, and what is done after each; also the number of slices."""
-    monkeypatch.setattr(depsgraph, "SLICE", -1.0)
+    monkeypatch.setattr(preparation, "SLICE", -1.0)
     count = 0
 
     def stages():
@@ -154,7 +154,7 @@ def test_quick_copies_of_a_mesh_are_what_blender_says_item_by_item(kind):
 def test_the_way_back_to_the_last_instance_is_never_most_of_the_work(monkeypatch):
     """Blender goes through its whole list again in every slice: with a limit on both together, 8,000 instances took an item a slice."""
     clock = SimpleNamespace(now=0.0, monotonic=lambda: clock.now)
-    monkeypatch.setattr(depsgraph, "time", clock)
+    monkeypatch.setattr(preparation, "time", clock)
 
     def tick(value):
         clock.now += 0.001
@@ -168,7 +168,7 @@ def test_the_way_back_to_the_last_instance_is_never_most_of_the_work(monkeypatch
     done = False
     while not done:
         listed.object_instances = map(tick, range(2000))
-        turn = depsgraph.Turn()
+        turn = preparation.Turn()
         done = walk.go_on(listed, turn.over, turn.back)
         slices += 1
     assert visited == list(range(2000)) and 2 < slices < 12 and clock.now < 12

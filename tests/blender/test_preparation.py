@@ -15,6 +15,7 @@ from adjgi.adjoint_gi.bridge.baking.bake import Bake
 from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
 from adjgi.adjoint_gi.bridge.extract import depsgraph, mesh, scene_store
 from adjgi.adjoint_gi.bridge.host import background
+from adjgi.adjoint_gi.bridge.host import preparation as slices
 from adjgi.adjoint_gi.bridge.host.preparation import Aside, Preparation, finish_stages, once
 from adjgi.adjoint_gi.bridge.results import faces
 from adjgi.adjoint_gi.bridge.results.lightmap_uv import own_layer
@@ -268,8 +269,7 @@ def test_all_that_needs_no_blender_runs_aside(scene, monkeypatch):
 
 def test_all_that_asks_blender_of_many_objects_does_it_an_object_at_a_time(scene, monkeypatch):
     """With slices that are over at once, every object has its own for its copies, its faces and its layer."""
-    for where in (depsgraph, textures):
-        monkeypatch.setattr(where, "SLICE", -1.0)
+    monkeypatch.setattr(slices, "SLICE", -1.0)
     square("Third")
     said = []
 

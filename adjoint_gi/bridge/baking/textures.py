@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,7 +31,7 @@ from ...core.scene.world import World
 from ..engine.pictures import exposure
 from ..extract.depsgraph import extract
 from ..host import changes, files
-from ..host.preparation import SLICE, Aside, Stages, finish_stages, once
+from ..host.preparation import Aside, Stages, Turn, finish_stages, once
 from ..props.request import BakeRequest, raise_first
 from ..results import links, preview
 from ..results.image import linked_image, write_image
@@ -131,16 +130,18 @@ class TextureWriter(Writer):
         objects = [self.world.scene.objects[i] for group in groups for i in group]
         layers: list[str] = []
         while len(layers) < len(objects):
-            rest, end = objects[len(layers) :], time.monotonic() + SLICE
+            rest, turn = objects[len(layers) :], Turn()
             depsgraph = bpy.context.evaluated_depsgraph_get()
-            for obj in find_objects(tuple(o.uid for o in rest), rest[0].source):
+            found = find_objects(tuple(o.uid for o in rest), rest[0].source)
+            turn.back()
+            for obj in found:
                 layers.append(self._layer(obj, depsgraph))
-                if time.monotonic() > end:
+                if turn.over():
                     break
             if len(layers) < len(objects):
                 yield "Placing texels"
-        found = iter(layers)
-        return [list(itertools.islice(found, len(group))) for group in groups]
+        in_order = iter(layers)
+        return [list(itertools.islice(in_order, len(group))) for group in groups]
 
     def _layer(self, obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> str:
         """The UV layer of `obj`; says what is wrong with it."""
@@ -304,15 +305,13 @@ def _copying(uids: list[int], same: Callable[[], None]) -> Stages[list[PlanCopy]
     while len(copies) < len(uids):
         if changes.count() != seen:
             same()
-        began = time.monotonic()
+        turn = Turn()
         objects = find_objects(tuple(uids[len(copies) :]), "Object")
         with unhidden(bpy.context.view_layer):
-            # As long again as it took to come here, which grows with the number of objects.
-            now = time.monotonic()
-            end = now + SLICE + (now - began)
+            turn.back()
             for obj in objects:
                 copies.append(copy_for_plan(obj, bpy.context.view_layer))
-                if time.monotonic() > end:
+                if turn.over():
                     break
         if len(copies) < len(uids):
             yield "Reading the faces"

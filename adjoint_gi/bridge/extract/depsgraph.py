@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import bpy
 
@@ -15,7 +14,7 @@ from ...core.scene.arrays import Camera, Light, Material, Rgb, SceneArrays
 from ...core.scene.texture import Texture
 from ..host import changes
 from ..host.notices import Notices
-from ..host.preparation import SLICE, Aside, Stages
+from ..host.preparation import Aside, Stages, Turn
 from ..host.versions import working_space_notice
 from ..results.show import unhidden
 from .camera import read_camera
@@ -75,26 +74,6 @@ def extracting(resolution: tuple[int, int] | None = None, real: Mapping[str, bpy
                     return (yield Aside("Placing the meshes", SCENES.arranged(reading.key, reading.arranging)))
             yield "Reading the scene"
     raise AssertionError("the last attempt reads all at once")
-
-
-class Turn:
-    """How long one slice goes on: `SLICE`, and as long as it took to come back to where the last one ended.
-
-    So the way back, which grows with the number of instances, is never more than half of the work.
-    """
-
-    def __init__(self) -> None:
-        self._began = time.monotonic()
-        self._end = self._began + SLICE
-
-    def back(self) -> None:
-        """It has come back."""
-        now = time.monotonic()
-        self._end = now + SLICE + (now - self._began)
-
-    def over(self) -> bool:
-        """Whether it ends."""
-        return time.monotonic() > self._end
 
 
 class Reading:
@@ -169,17 +148,9 @@ def _arrays(copied: Copied, groups: list[Group], notices: Notices) -> SceneArray
             notices.add(copied.scene, "has lights but no faces to receive them; every result is black", "Add a mesh object")
         else:
             notices.add(copied.scene, "has no faces and no lights", "Add a mesh object that is visible in renders", "error")
-    return SceneArrays(
-        vertices=placed.vertices,
-        triangles=placed.triangles,
-        corner_normals=placed.corner_normals,
-        smooth=placed.smooth,
-        material=placed.material,
-        object=placed.object,
-        polygon=placed.polygon,
-        corners=placed.corners,
+    return replace(
+        placed,
         materials=copied.materials,
-        objects=placed.objects,
         textures=copied.textures,
         lights=copied.lights,
         background=copied.background,

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.base.digest import digest
 from ...core.base.steps import Steps
-from ...core.scene.arrays import ObjectArrays
+from ...core.scene.arrays import ObjectArrays, SceneArrays
 from ..host.notices import Notices
 from .mesh import LARGEST_COORDINATE, MeshArrays, MeshCopy
 
@@ -122,23 +122,9 @@ class Walked:
             notices.add(name, reason, remedy, "info")
 
 
-@dataclass(eq=False)
-class Placed:
-    """All groups in world space, in the layout of `SceneArrays`."""
-
-    vertices: np.ndarray
-    triangles: np.ndarray
-    corner_normals: np.ndarray
-    smooth: np.ndarray
-    material: np.ndarray
-    object: np.ndarray
-    polygon: np.ndarray
-    corners: np.ndarray
-    objects: tuple[ObjectArrays, ...]
-
-
-def place(groups: list[Group], default_color: bool, notices: Notices) -> Placed:
-    """Transform every instance to world space and join the arrays; per-mesh UV and colour arrays are shared by instances.
+def place(groups: list[Group], default_color: bool, notices: Notices) -> SceneArrays:
+    """Transform every instance to world space and join the arrays; per-mesh UV and colour arrays are shared by instances. Of what is no
+    geometry there is nothing yet.
 
     With `default_color` the colour attribute used in rendering is entered under "" too, for nodes that name none.
     """
@@ -188,7 +174,7 @@ def place(groups: list[Group], default_color: bool, notices: Notices) -> Placed:
         np.zeros((0, 3), np.int32),
     )
     columns = [np.concatenate([e, *(p[c] for p in parts)]) for c, e in enumerate(empty)]
-    return Placed(*columns, tuple(objects))
+    return SceneArrays(*columns, materials=(), objects=tuple(objects))
 
 
 def _objects(group: Group, kept: np.ndarray, first_triangle: int, first_vertex: int, default_color: bool) -> list[ObjectArrays]:

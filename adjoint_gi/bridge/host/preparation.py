@@ -43,6 +43,26 @@ def once(function: Callable[[], T]) -> Steps[T]:
     return function()
 
 
+class Turn:
+    """How long one slice of many goes on: `SLICE`, and as long as it took to come back to where the last one ended.
+
+    So the way back, which grows with the number of objects and instances, is never more than half of the work.
+    """
+
+    def __init__(self) -> None:
+        self._began = time.monotonic()
+        self._end = self._began + SLICE
+
+    def back(self) -> None:
+        """It has come back."""
+        now = time.monotonic()
+        self._end = now + SLICE + (now - self._began)
+
+    def over(self) -> bool:
+        """Whether it ends."""
+        return time.monotonic() > self._end
+
+
 def finish_stages(stages: Stages[T]) -> T:
     """Run `stages` here to their end and return their result."""
     answer, error = None, None

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.base.atomic import require_finite
 from ...core.base.errors import Notice, TargetError, WriteError
-from ..host.meshes import corner_vertices
+from ..host.meshes import copied, corner_vertices
 from . import links as targets
 from . import stored
 from .stored import ADDED
@@ -171,7 +171,7 @@ def fill_attribute(obj: bpy.types.Object, key: str, domain: str, name: str, colo
     attribute.data.foreach_set("color", data.ravel())
     mesh.update()
     made = attribute.name
-    if not np.array_equal(_values(attribute).view(np.uint32), data.ravel().view(np.uint32)):
+    if not np.array_equal(_values(attribute).ravel().view(np.uint32), data.ravel().view(np.uint32)):
         raise WriteError(obj.name, f'attribute "{made}" does not hold the values that were written', "Bake again")
     others = [e for e in _entries(mesh, key) if made != e["name"] and name != e["wanted"]]
     if stored.read(mesh, STORED) is None:
@@ -242,10 +242,8 @@ def _find(mesh: bpy.types.Mesh, entry: dict[str, Any]) -> bpy.types.Attribute | 
 
 
 def _values(attribute: bpy.types.Attribute) -> np.ndarray:
-    """(4 n,) float32 of a colour attribute."""
-    out = np.empty(4 * len(attribute.data), np.float32)
-    attribute.data.foreach_get("color", out)
-    return out
+    """(n, 4) float32 of a colour attribute."""
+    return copied(attribute.data, "color", 4, np.float32)
 
 
 def _attribute(mesh: bpy.types.Mesh, key: str, domain: str, name: str) -> tuple[bpy.types.Attribute, bool]:

@@ -17,6 +17,7 @@ from collections.abc import Iterator, Sequence
 import bpy
 import numpy as np
 
+from ..host.meshes import positions
 from ..host.versions import modifier_input, set_modifier_input
 from . import links as targets
 from . import stored
@@ -118,9 +119,7 @@ def carried(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray] | None:
     own = holder(obj)
     if own is None:
         return None
-    points = np.empty(3 * len(own.data.vertices), np.float32)
-    own.data.vertices.foreach_get("co", points)
-    points = points.reshape(-1, 3)
+    points = positions(own.data)
     return points[:, :2].copy(), points[:, 2].astype(np.int32)
 
 

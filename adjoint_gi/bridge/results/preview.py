@@ -11,9 +11,9 @@ import contextlib
 from collections.abc import Iterator, Sequence
 
 import bpy
-import numpy as np
 
 from ...core.base.errors import TargetError
+from ..host.meshes import material_slots
 from . import links as targets
 from . import stored
 from .attribute import linked_attribute
@@ -165,8 +165,7 @@ def _drop_added_slot(obj: bpy.types.Object) -> None:
     if stored.read(mesh, ADDED) is None or any(shown(other) for other in targets.sharing(obj)):
         return
     if len(mesh.materials) == 1 and mesh.materials[0] is None:
-        index = np.zeros(len(mesh.polygons), np.int32)
-        mesh.polygons.foreach_get("material_index", index)
+        index = material_slots(mesh)
         mesh.materials.clear()
         if index.any():  # clearing sets all of them to 0
             mesh.polygons.foreach_set("material_index", index)

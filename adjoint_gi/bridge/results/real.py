@@ -17,6 +17,7 @@ import bpy
 import numpy as np
 
 from ...core.base.errors import TargetError
+from ..host.meshes import copied
 from . import stored
 from .stored import REAL, REALS
 
@@ -187,8 +188,6 @@ def checksum(mesh: bpy.types.Mesh) -> str:
     parts += [(layer.data, "color", 4, np.float32) for layer in mesh.color_attributes]
     names = [layer.name for layer in (*mesh.uv_layers, *mesh.color_attributes)]
     total = zlib.crc32(repr(names).encode())
-    for items, name, width, dtype in parts:
-        values = np.empty(len(items) * width, dtype)
-        items.foreach_get(name, values)
-        total = zlib.crc32(values.tobytes(), total)
+    for part in parts:
+        total = zlib.crc32(copied(*part), total)
     return f"{total:08x}"
