@@ -9,8 +9,8 @@ with A and B the look-ups on both sides. The second sum, over texels beside one 
 so that no step is only moved. Only edges over which the shading goes on smoothly are closed, and where nothing stands between both sides:
 over a sharp edge, and behind a wall, light differs.
 
-S. Ray, "Seamless texture stitching" (least squares over borders; used in Sloan's lightmaps, and by Bakery); M. Hestenes and E. Stiefel,
-"Methods of Conjugate Gradients for Solving Linear Systems", 1952.
+M. Iwanicki, "Lighting Technology of The Last of Us", SIGGRAPH 2013 Talks (texels moved by least squares until both sides of a split edge
+match; the second sum is ours). M. R. Hestenes and E. Stiefel, "Methods of Conjugate Gradients for Solving Linear Systems", 1952.
 """
 
 from __future__ import annotations
