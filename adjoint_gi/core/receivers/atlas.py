@@ -9,7 +9,7 @@ from collections import deque
 
 import xatlas
 
-# s; without it one of some 30,000 small atlases ended in a wait for ever on a busy machine; with it alone, one of 18 runs of the unwrap tests
+# s; without it one of some 30,000 small atlases ended in a wait for ever on a busy machine; with it alone one of 18 runs of its tests
 NAP = 1e-3
 # Atlases that are kept until as many others have come, so that they rest for all their naps; each has a thread for every core but one.
 MOST = min(64, max(8, 1024 // (os.cpu_count() or 1)))
