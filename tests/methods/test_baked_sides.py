@@ -7,7 +7,7 @@ import pytest
 from adjgi.adjoint_gi.core.flux.facing import baked_sides
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.receivers.vertices import vertex_receivers
-from adjgi.adjoint_gi.core.scene.arrays import Camera
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Light
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
 from adjgi.tests.solving import look, solve
@@ -97,3 +97,16 @@ def test_every_method_bakes_the_side_that_is_seen(name):
         means.append(solve(name, world, receivers, **OPTIONS[name]).quantity("irradiance").mean())
     assert means[0] > 0.05
     assert means[1] == pytest.approx(means[0], rel=0.06)
+
+
+@pytest.mark.parametrize("emission", [0.2, 10.0])
+def test_of_a_closed_body_that_glows_the_outside_is_baked(emission):
+    """All the light within it is its own, and nobody sees it; more of it arrives there than outside."""
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.01, 1.01)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    b = SceneBuilder()
+    b.quad("Floor", (-5, -5, 0), (10, 0, 0), (0, 10, 0), diffuse("Grey", 0.5))
+    b.mesh("Cube", corners, np.array([t for a, c, d, e in quads for t in ((a, c, d), (a, d, e))]), diffuse("Glow", 0.5, emission))
+    b.light(Light("Lamp", "point", (10, 10, 10), (0, 0, 4), radius=0.1))
+    sides = baked_sides(World(b.build()), [0, 1])
+    assert sides.facing is None and not sides.notices

@@ -42,6 +42,7 @@ def baked_sides(world: World, objects: Sequence[int]) -> BakedSides:
     # What is seen decides; where too little of it is known, what is lit.
     back, known = _by_back(world, seen)
     also, _ = _by_back(world, lit)
+    also &= ~_glows(world, lit)[owner]
     back = np.where(known, back, also) & np.isin(owner, np.asarray(objects, np.int64))
     if not back.any():
         return BakedSides(None, ())
@@ -74,15 +75,23 @@ def _by_back(world: World, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     of_object, back_of_object = (np.bincount(owner, counts, objects) for counts in (total, sides[1]))
     all_back = (of_object > 0) & (back_of_object == of_object)
     agreed = (of_object >= ENOUGH) & (all_back | (back_of_object == 0))
-    told = (of_object >= MIN_ARRIVALS) | agreed | (all_back & _inside_out(world))
+    told = (of_object >= MIN_ARRIVALS) | agreed | (all_back & (_volume(world) < 0))
     own = total >= ENOUGH
     known = own | told[owner]
     back = np.where(own, sides[1] >= DARK * total, (back_of_object >= DARK * of_object)[owner])
     return back & known, known
 
 
-def _inside_out(world: World) -> np.ndarray:
-    """(objects,) bool: closed bodies whose fronts look inwards: area vectors that cancel out, and a negative volume."""
+def _glows(world: World, lit: np.ndarray) -> np.ndarray:
+    """(objects,) bool: closed bodies that emit all over and are lit from outside, `lit` (2, nt). Their light within is for nobody."""
+    scene = world.scene
+    emits = np.array([any(lobe.kind == "emission" and not lobe.is_black for lobe in m.lobes) for m in scene.materials], bool)
+    dark, fronts = (np.bincount(scene.object, x, len(scene.objects)) for x in (~emits[scene.material], lit[0]))
+    return (dark == 0) & (fronts > 0) & (_volume(world) > 0)
+
+
+def _volume(world: World) -> np.ndarray:
+    """(objects,) float64 volumes of closed bodies, whose area vectors cancel out: negative where their fronts look inwards, 0 of others."""
     owner, objects = world.scene.object, len(world.scene.objects)
 
     def of_objects(values: np.ndarray) -> np.ndarray:
@@ -95,7 +104,7 @@ def _inside_out(world: World) -> np.ndarray:
     middle = corner[:, 0] + (corner[:, 1] + corner[:, 2]) / 3
     centre = np.stack([of_objects(middle[:, k]) for k in range(3)], axis=1) / np.maximum(of_objects(np.ones(len(owner))), 1)[:, None]
     volume = of_objects(np.einsum("ij,ij->i", middle - centre[owner], vector)) / 3
-    return (np.linalg.norm(net, axis=1) < CLOSED * area) & (volume < -(CLOSED**2) * area**1.5)
+    return np.where((np.linalg.norm(net, axis=1) < CLOSED * area) & (np.abs(volume) > CLOSED**2 * area**1.5), volume, 0)
 
 
 def _notices(world: World, back: np.ndarray) -> list[Notice]:
