@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Approval: what a test tells must be what its file in `tests/told/` says, line by line.
+
+    ADJOINT_GI_TELL=1 python tests/run.py tests/core/test_told_page.py tests/blender/test_told_panels.py
+
+rewrites the files. They only record: read every line that changes and reckon its numbers anew before it is committed. Tests choose numbers of
+which no two are alike, say how they are reckoned, and keep clocks, paths, versions and memory out.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+TOLD = Path(__file__).resolve().parent / "told"
+
+
+def approve(name: str, lines: Iterable[str]) -> None:
+    """Assert that `lines` are those of the file `name`; write them there where ADJOINT_GI_TELL is set."""
+    path, found = TOLD / f"{name}.txt", [line.rstrip() for text in lines for line in text.split("\n")]
+    if os.environ.get("ADJOINT_GI_TELL"):
+        TOLD.mkdir(exist_ok=True)
+        path.write_text("\n".join(found) + "\n", encoding="utf-8")
+    assert found == path.read_text(encoding="utf-8").splitlines(), f"other than {path.name} says"
+
+
+def flat(value: dict[str, Any], where: str = "") -> Iterator[str]:
+    """A dictionary of JSON in lines "key: value", those of lists of dictionaries and of dictionaries below each other; numbers with six digits."""
+    for key, item in value.items():
+        name = f"{where}{key}"
+        if isinstance(item, dict) and item:
+            yield from flat(item, f"{name}.")
+        elif isinstance(item, list) and item and isinstance(item[0], dict):
+            for k, each in enumerate(item):
+                yield f"{name} {k}: " + ", ".join(flat(each))
+        else:
+            yield f"{name}: {_rounded(item)}"
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return [_rounded(v) for v in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value
