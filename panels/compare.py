@@ -89,7 +89,7 @@ def method(layout: bpy.types.UILayout, context: bpy.types.Context, row: bpy.type
     column = box.column(align=True)
     column.scale_y = 0.8
     text.label(column, context, f"{text.duration(row.seconds)}, {text.count(int(row.rays or 0))} rays, {row.state}", indent=1)
-    flux = f"Flux {row.gathered:.4g} {unit}"
+    flux = f"{'Flux' if unit == 'W' else 'Mean radiance, colours summed,'} {row.gathered:.4g} {unit}"
     if row.has_gap:
         flux = f"Flux gathered {row.gathered:.4g} {unit}, shot {row.shot:.4g} {unit}, gap {100 * row.gap:+.2g} %"
     if row.has_balance:

@@ -270,7 +270,7 @@ def result(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         ("Rays", text.count(int(record.rays or 0))),
     ]
     potential = record.method == "potential"
-    unit = "" if potential else "W/m² sr" if record.target == "render" else "W/m²"
+    unit = "" if potential else "W/(m² sr)" if record.target == "render" else "W/m²"
     name = record.quantity.title() if record.target != "render" else "Potential" if potential else "Radiance"
     rows.append((f"Mean {name}", f"{sum(record.mean) / 3:.4g} {unit}".rstrip()))
     if record.has_balance:

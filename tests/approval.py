@@ -3,8 +3,8 @@
 
     ADJOINT_GI_TELL=1 python tests/run.py tests/core/test_told_page.py tests/blender/test_told_panels.py
 
-rewrites the files. They only record: read every line that changes and reckon its numbers anew before it is committed. Tests choose numbers of
-which no two are alike, say how they are reckoned, and keep clocks, paths, versions and memory out.
+rewrites the files. They only record: read every line that changes and reckon its numbers anew before it is committed. Tests choose
+numbers of which no two are alike, say how they are reckoned, and keep clocks, paths, versions and memory out.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def approve(name: str, lines: Iterable[str]) -> None:
 
 
 def flat(value: dict[str, Any], where: str = "") -> Iterator[str]:
-    """A dictionary of JSON in lines "key: value", those of lists of dictionaries and of dictionaries below each other; numbers with six digits."""
+    """A dictionary of JSON in lines "key: value", one for each dictionary of a list; numbers with six digits."""
     for key, item in value.items():
         name = f"{where}{key}"
         if isinstance(item, dict) and item:

@@ -6,15 +6,14 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from adjgi.adjoint_gi.core.base.errors import Notice
 from adjgi.adjoint_gi.core.comparison import page
 from adjgi.tests.approval import approve, flat
-from adjgi.tests.compared import disagreeing, pictured, too_few
+from adjgi.tests.compared import DIM, disagreeing, pictured, too_few
 
 
 def lines(result, pictures=None, facts=()):
     """The page without its style and the bytes of its pictures."""
-    made = page.page("Hall", result, pictures or {}, [Notice("Lamp", "is dim", "Change it")], facts)
+    made = page.page("Hall", result, pictures or {}, [DIM], facts)
     head, _, rest = made.partition("<style>")
     parts = (head + rest.partition("</style>")[2]).split("base64,")
     return ["".join([parts[0], *("BYTES" + part[part.index('"') :] for part in parts[1:])])]
@@ -24,7 +23,7 @@ def test_pages_and_json_are_told_as_approved():
     result = disagreeing()
     facts = (("Scene", "Hall"), ("Receivers", "4 texels"))
     told = ["# four methods, equal time", *lines(result, {"histogram": np.zeros((2, 3, 3))}, facts)]
-    told += ["", "# its JSON", *flat(page.as_json(result, [Notice("Lamp", "is dim")]))]
+    told += ["", "# its JSON", *flat(page.as_json(result, [DIM]))]
     told += ["", "# equal error, too few repeats", *lines(too_few())]
     told += ["", "# a picture, stopped", *lines(pictured())]
     approve("page", told)

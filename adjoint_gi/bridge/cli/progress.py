@@ -54,7 +54,7 @@ class Progress:
 
 def seconds_text(seconds: float) -> str:
     """ "4.2 s", "3:05 min" or "2:10 h"."""
-    if seconds < 60:
+    if seconds < 59.95:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(int(round(seconds)), 60)
     return f"{minutes}:{rest:02d} min" if minutes < 60 else f"{minutes // 60}:{minutes % 60:02d} h"

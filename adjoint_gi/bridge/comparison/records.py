@@ -165,7 +165,7 @@ def store(record: ADJOINTGI_PG_compare_result, result: Result, notices: list[Not
     """Put the table and the words of `result` into `record`; pictures stay as they are."""
     record.headline, record.partial = best_text(result), result.partial
     record.reference = result.reference.label if result.reference is not None else ""
-    record.unit = "W" if result.measure == "irradiance" else "W/m² sr"
+    record.unit = "W" if result.measure == "irradiance" else "W/(m² sr)"
     record.lines = "\n".join(result.agreement.lines) if result.agreement is not None else ""
     record.files = "\n".join(files)
     record.rows.clear()
@@ -182,7 +182,8 @@ def store(record: ADJOINTGI_PG_compare_result, result: Result, notices: list[Not
         row.has_balance, row.balance = balance is not None, balance.gap if balance is not None else 0.0
         row.best = e is result.winner
     record.notices.clear()
-    shown = [*result.refused, *notices, *(n for e in result.entries for n in e.notices)]
+    of_reference = result.reference.notices if result.reference is not None else ()
+    shown = [*result.refused, *notices, *of_reference, *(n for e in result.entries for n in e.notices)]
     for notice in dict.fromkeys(shown):
         item = record.notices.add()
         item.object, item.reason, item.remedy, item.severity = notice.object, notice.reason, notice.remedy, notice.severity

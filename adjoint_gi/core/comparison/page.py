@@ -96,9 +96,10 @@ def page(
     parts += ["<h2>Results</h2>", _results(result)]
     if result.refused:
         parts += ["<h2>Not compared</h2>", _list(str(n) for n in result.refused)]
-    notes = [str(n) for e in result.entries for n in e.notices] + [str(n) for n in notices]
+    found = list(notices)
+    notes = [str(n) for e in result.entries for n in e.notices] + [str(n) for n in found]
     if result.reference is not None:
-        notes += [f"Reference: {n}" for n in result.reference.notices]
+        notes += [f"Reference: {n}" for n in result.reference.notices if n not in found]
     if notes:
         parts += ["<h2>Notes</h2>", _list(dict.fromkeys(notes))]
     if result.agreement is not None:
@@ -227,7 +228,14 @@ def as_json(result: Result, notices: Iterable[Any] = ()) -> dict[str, Any]:
         "plan": result.settings,
         "reference": None
         if r is None
-        else {"label": r.label, "noise": r.noise, "seconds": r.seconds, "known": float(r.valid.mean()), "mean": r.mean},
+        else {
+            "label": r.label,
+            "noise": r.noise,
+            "seconds": r.seconds,
+            "known": float(r.valid.mean()),
+            "mean": r.mean,
+            "notices": [_notice(n) for n in r.notices],
+        },
         "winner": best.method if best is not None else None,
         "methods": [_entry(result, e) for e in result.entries],
         "refused": [_notice(n) for n in result.refused],
