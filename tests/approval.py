@@ -26,20 +26,21 @@ def approve(name: str, lines: Iterable[str]) -> None:
     assert found == path.read_text(encoding="utf-8").splitlines(), f"other than {path.name} says"
 
 
-def flat(value: dict[str, Any], where: str = "") -> Iterator[str]:
-    """A dictionary of JSON in lines "key: value", one for each dictionary of a list; numbers with six digits."""
+def flat(value: dict[str, Any], where: str = "", digits: int = 6) -> Iterator[str]:
+    """A dictionary of JSON in lines "key: value", one for each dictionary of a list; numbers with so many digits."""
     for key, item in value.items():
         name = f"{where}{key}"
         if isinstance(item, dict) and item:
-            yield from flat(item, f"{name}.")
+            yield from flat(item, f"{name}.", digits)
         elif isinstance(item, list) and item and isinstance(item[0], dict):
             for k, each in enumerate(item):
-                yield f"{name} {k}: " + ", ".join(flat(each))
+                yield f"{name} {k}: " + ", ".join(flat(each, digits=digits))
         else:
-            yield f"{name}: {_rounded(item)}"
+            yield f"{name}: {_rounded(item, digits)}"
 
 
-def _rounded(value: Any) -> Any:
+def _rounded(value: Any, digits: int) -> Any:
     if isinstance(value, list | tuple):
-        return [_rounded(v) for v in value]
-    return float(f"{value:.6g}") if isinstance(value, float) else value
+        return [_rounded(v, digits) for v in value]
+    # What is left of rounding errors differs between machines.
+    return float(f"{value if abs(value) > 1e-9 else 0.0:.{digits}g}") if isinstance(value, float) else value

@@ -213,7 +213,7 @@ def test_check_says_what_the_bake_says_and_makes_nothing():
     before = user_data()
     said = rehearse(bpy.context, asked())
     assert user_data() == before
-    assert [n for n in said if "1 instance of chair, baked as objects of their own" in n.reason]
+    assert [n for n in said if "1 instance of chair, baked as an object of its own" in n.reason]
     assert [n for n in preflight(bpy.context, asked()) if "which the bake makes objects of" in n.reason]
     (told,) = [n for n in preflight(bpy.context, asked(instances=False)) if "in the light but not baked" in n.reason]
     assert "--instances" in told.remedy

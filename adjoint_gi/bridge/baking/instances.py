@@ -160,8 +160,9 @@ class _Walk(InstanceWalk):
         for f in self.found:
             if not f.whole and f.original != f.maker:
                 of.setdefault(f.maker.name, []).append(f.original.name)
-        text = "makes {} instance{} of {}, baked as objects of their own"
-        told = [Notice(n, text.format(len(s), "s" * (len(s) > 1), listed(list(dict.fromkeys(s)))), "", "info") for n, s in of.items()]
+        one, more = "makes 1 instance of {1}, baked as an object of its own", "makes {0} instances of {1}, baked as objects of their own"
+        texts = {n: (one if len(s) == 1 else more).format(len(s), listed(list(dict.fromkeys(s)))) for n, s in of.items()}
+        told = [Notice(n, text, "", "info") for n, text in texts.items()]
         return told + [Notice(n, f"{e.notice.reason}; its instances are not baked", e.notice.remedy) for n, e in self._locked.items()]
 
     def _visit_mesh(self, inst: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, original: bpy.types.Object, over: object) -> bool:

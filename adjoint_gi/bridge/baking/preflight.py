@@ -317,12 +317,12 @@ def resolutions(world: World, objects: list[int], request: BakeRequest) -> np.nd
 
 
 def triangle_count(depsgraph: bpy.types.Depsgraph) -> int:
-    """About how many triangles the evaluated scene has."""
+    """About how many triangles the evaluated scene has, without objects that are hidden in render themselves."""
     known: dict[int, int] = {}
     total = 0
     for inst in depsgraph.object_instances:
         obj = inst.object
-        if obj.type == "MESH":
+        if obj.type == "MESH" and (inst.is_instance or not obj.hide_render):
             key = obj.data.as_pointer()
             if key not in known:
                 known[key] = max(0, len(obj.data.loops) - 2 * len(obj.data.polygons))
