@@ -21,6 +21,9 @@ from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests.methods.test_every_method import KINDS, NAMES, ROWS, places, quick
 from adjgi.tests.solving import ARRAYS, look, on_elements, solve
 
+IMAGE, GREY = Source("image", texture=0), Source("image", texture=1)
+HUE = np.array([0.9, 0.5, 0.1])
+COUNTING_ALL_RAYS = ("progressive_radiosity", "spherical_harmonics", "stochastic_jacobi")  # others: of each place
 ORDER = [2, 0, 1]  # changes the place of every channel
 
 
@@ -105,6 +108,55 @@ def with_channels(scene: SceneArrays, order: list[int]) -> SceneArrays:
     )
 
 
+def textured(scene: SceneArrays) -> SceneArrays:
+    """The scene with a coloured and a grey image, and a colour attribute "Col" on every object."""
+    rng = np.random.default_rng(3)
+    pixels = np.ones((2, 4, 4, 4), np.float32)
+    pixels[0, ..., :3] = rng.uniform(0.1, 0.9, (4, 4, 1)) * HUE
+    pixels[1, ..., :3] = rng.uniform(0.1, 0.9, (4, 4, 1))
+    colors = [{"Col": rng.uniform(0.2, 1.0, (o.triangle_count, 3, 4)).astype(np.float32)} for o in scene.objects]
+    objects = tuple(dataclasses.replace(o, colors=c) for o, c in zip(scene.objects, colors, strict=True))
+    return dataclasses.replace(scene, objects=objects, textures=(Texture("Image", pixels[0]), Texture("Grey", pixels[1])))
+
+
+def hued(factor: float = 1.0) -> tuple[float, float, float]:
+    """The one hue of a scene, so that what chooses by a sum over the channels chooses alike in each of them."""
+    return tuple(factor * HUE)
+
+
+def coloured_light() -> SceneArrays:
+    """A grey floor and wall in coloured light, some of which passes a coloured pane."""
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
+    b.quad("Wall", (0, 1, 0), (1, 0, 0), (0, 0, 1), diffuse("Wall", 0.7))
+    b.quad("Pane", (0, 0, 0.3), (0.5, 0, 0), (0, 0.9, 0), Material("Pane", (Lobe("transparent", Color.of(*hued())),)))
+    b.quad("Glow", (0, 0, 1), (0, 0.5, 0), (1, 0, 0), Material("Glow", (Lobe("emission", Color((Term((3.0,) * 3, (IMAGE,)),))),)))
+    b.light(Light("Point", "point", hued(0.3), (0.5, 0.5, 0.6), radius=0.02))
+    b.light(Light("Spot", "spot", hued(1.0), (0.3, 0.5, 0.9), spot_angle=1.0, spot_blend=0.3))
+    b.light(Light("Area", "area", hued(12.0), (0.7, 0.3, 0.8), size_x=0.2, size_y=0.1))
+    b.light(Light("Sun", "sun", hued(0.6), angle=0.02))
+    b.background = hued(0.2)
+    return textured(b.build())
+
+
+def coloured_surfaces() -> SceneArrays:
+    """A room of many coloured surfaces in the white light of its ceiling."""
+    share, rest = Color((Term((0.6,) * 3, (GREY,)),)), Color((Term((1.0,) * 3), Term((-0.6,) * 3, (GREY,))))
+    hue, painted = Color.of(*hued()), Color((Term((0.9,) * 3, (IMAGE,)), Term(hued(0.2))))
+    walls = [
+        Material("Mixed", (Lobe("diffuse", painted, weight=share), Lobe("glossy", hue, 0.6, weight=rest))),
+        Material("Metal", (Lobe("metallic", hue, 0.6, multiscatter=True),)),
+        Material("Coat", (Lobe("specular", hue, 0.5, 1.5), Lobe("diffuse", hue))),
+        Material("Corners", (Lobe("diffuse", Color((Term(hued(), (Source("attribute", "Col"),)),))),)),
+        Material("Rough", (Lobe("rough diffuse", hue, 0.8, multiscatter=True),)),
+        diffuse("Above", hued(0.5), 1.0),
+    ]
+    b = SceneBuilder()
+    b.box("Room", (0, 0, 0), (1, 1, 1), walls, inward=True)
+    b.quad("Glass", (0.2, 0.2, 0.5), (0.6, 0, 0), (0, 0.6, 0), Material("Glass", (Lobe("glass", hue, 0.0, 1.45),)))
+    return textured(b.build())
+
+
 def answer(name: str, kind: str, scene: SceneArrays, **options: object) -> Solution:
     """What a method finds in a moment."""
     world, receivers = (World(scene), on_elements(scene, 2.0)) if kind == "elements" else places(kind, scene)
@@ -130,3 +182,19 @@ def test_channels_that_change_places_change_the_answer_alike(name, kind):
     if ROWS[name].kind != "potential":
         for x in (one.direct, one.direct if ROWS[name].kind == "direct" else one.indirect):
             assert (np.ptp(x, axis=1) > 0.1 * x.max()).any(), "a scene too grey to tell"
+
+
+@pytest.mark.parametrize("build", [coloured_light, coloured_surfaces])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_channel_is_the_grey_scene_made_of_it(name, build):
+    scene = build()
+    if ROWS[name].kind == "potential":
+        pytest.skip("the same for all channels")
+    rays = 20_000 if name in COUNTING_ALL_RAYS else 64
+    more = {"samples": 16, "rays": rays, "particles": 10_000, "light_points": 4, "light_samples": 4, "tolerance": 1e-3}
+    dark = int(HUE.argmin())  # in which a mean over the channels shows most: as five times as much light
+    found, grey = (answer(name, "texels", s, **more) for s in (scene, with_channels(scene, [dark] * 3)))
+    assert np.array_equal(found.emitted[:, dark], grey.emitted[:, dark]) and np.array_equal(found.albedo[:, dark], grey.albedo[:, dark])
+    for array, off in (("direct", 0.02 if name == "distribution" else 1e-5), ("indirect", 0.15)):
+        got, want = getattr(found, array).mean(axis=0)[dark], getattr(grey, array).mean(axis=0)
+        np.testing.assert_allclose(want, got, rtol=off, err_msg=array)
