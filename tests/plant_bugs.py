@@ -2112,6 +2112,48 @@ BUGS = (
         "shares += [share + 0 * kept for share in shares]",
         "tests/core/test_bsdf.py -k bounces_between_facets",
     ),
+    Bug(
+        "lamps that are missing are told of colours that they do not have",
+        "adjoint_gi/core/walks/unmet_lamps.py",
+        "(p.weight[met.row] * met.weight * met.share).sum(axis=1)",
+        "power[met.row] * (met.weight * met.share).mean(axis=1)",
+        "tests/methods/test_unmet_lamps.py -k each_colour",
+    ),
+    Bug(
+        "lamps that are missing give what coats keep as well",
+        "adjoint_gi/core/walks/unmet_lamps.py",
+        "met.weight * met.share).sum",
+        "met.weight).sum",
+        "tests/methods/test_unmet_lamps.py -k coats_let_through",
+    ),
+    Bug(
+        "tails of paths are dimmed by the brightest colour",
+        "adjoint_gi/core/walks/paths.py",
+        "np.mean(factor, axis=-1)",
+        "np.max(factor, axis=-1)",
+        "tests/core/test_walks.py -k light_in_a_tail",
+    ),
+    Bug(
+        "images times a mean of their colours",
+        "adjoint_gi/core/scene/shading.py",
+        "product = product * source_at(source, scene, triangle, u, v)",
+        "product = product * source_at(source, scene, triangle, u, v).mean(axis=1, keepdims=True)",
+        "tests/methods/test_channels.py -k local_illumination",
+    ),
+    Bug(
+        "coats dim all colours as the first",
+        "adjoint_gi/core/bsdf/coat.py",
+        "if self.grey:",
+        "if True:",
+        "tests/methods/test_channels.py -k path_tracing",
+    ),
+    Bug(
+        "what is unshot has the mean of the colours",
+        "adjoint_gi/core/radiosity/southwell.py",
+        "+= rho * light\n        self.reached",
+        "+= rho.mean(axis=1, keepdims=True) * light\n        self.reached",
+        "tests/methods/test_channels.py -k progressive_radiosity",
+    ),
 )
 
 

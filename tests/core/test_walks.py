@@ -17,7 +17,7 @@ from adjgi.adjoint_gi.core.scene.faces import Faces
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.diffuse_paths import STRATIFIED, VERTEX, DiffuseVertices, Numbers
 from adjgi.adjoint_gi.core.walks.particles import walk as particle_walk
-from adjgi.adjoint_gi.core.walks.paths import Paths, Walk, by_root, by_weight, follow
+from adjgi.adjoint_gi.core.walks.paths import Gathered, Paths, Walk, by_root, by_weight, follow
 from adjgi.adjoint_gi.core.walks.radiance import start
 from adjgi.adjoint_gi.core.walks.shooting import Departed, Flight, shoot
 from adjgi.tests import scenes
@@ -242,3 +242,14 @@ def test_the_far_plane_counts_from_the_camera_for_importance_that_passes_a_sheet
         rng = np.random.default_rng(2)
         particle_walk(world, particles, 1, rng, lambda hits, to=arrived: to.append(int((hits.surface.triangle < 2).sum())), importance=True)
         assert sum(arrived) == seen
+
+
+def test_light_in_a_tail_is_dimmed_by_the_mean_of_the_colours():
+    """Its channels are summed: of a white light of 3 a surface that reflects red alone leaves 1."""
+    white = np.ones((1, 3), np.float32)
+    found = Gathered(white, white, 5, tail=np.full((2, 1), 3.0, np.float32))
+    dimmed = found.times(np.array([[1.0, 0.0, 0.0]], np.float32))
+    np.testing.assert_array_equal(dimmed.tail, [[1.0], [1.0]])
+    np.testing.assert_array_equal(found.times(np.float32(2)).tail, [[6.0], [6.0]])
+    both = dimmed.plus(found)
+    assert both.rays == 10 and both.tail.tolist() == [[4.0], [4.0]] and both.direct.tolist() == [[2.0, 1.0, 1.0]]

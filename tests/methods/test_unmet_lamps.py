@@ -14,13 +14,13 @@ from adjgi.tests import solving
 WALKS = ("path_tracing", "distribution", "irradiance_cache")
 
 
-def room(roughness=0.0, color=0.9, edge=1.0, **lamp):
-    """A grey room whose floor is a mirror up to `edge`, and a lamp in its middle."""
+def room(roughness=0.0, color=(0.9,), edge=1.0, light=(1.0, 1.0, 1.0), coats=(), **lamp):
+    """A grey room whose floor is a mirror up to `edge`, and a lamp in its middle. `coats`: lobes over the grey of the walls."""
     b = SceneBuilder()
-    mirror = Material("Silver", (Lobe("glossy", Color.of(color), roughness),))
-    b.box("Room", (0, 0, 0), (1, 1, 1), diffuse("Grey", 0.5), inward=True)
+    mirror = Material("Silver", (Lobe("glossy", Color.of(*color), roughness),))
+    b.box("Room", (0, 0, 0), (1, 1, 1), Material("Grey", (*diffuse("Grey", 0.5).lobes, *coats)), inward=True)
     b.quad("Mirror", (0, 0, 0.01), (edge, 0, 0), (0, edge, 0), mirror)
-    b.light(Light("Lamp", "point", (1.0, 1.0, 1.0), (0.5, 0.5, 0.5), **lamp))
+    b.light(Light("Lamp", "point", light, (0.5, 0.5, 0.5), **lamp))
     return b.build()
 
 
@@ -44,8 +44,24 @@ def test_the_share_is_that_of_the_mirror():
     assert "15 %" in notice.reason
 
 
+def test_the_share_is_of_each_colour_for_itself():
+    """Of a red lamp a mirror of one red, green or blue sends as much as that has red, not as much as it has in the mean."""
+    lamp = {"light": (3.0, 0.0, 0.0)}
+    (red,) = unmet_lamps.notices(Emitters(World(room(color=(0.9, 0, 0), **lamp))))
+    assert "15 %" in red.reason
+    assert not unmet_lamps.notices(Emitters(World(room(color=(0, 0.9, 0.9), **lamp))))
+
+
+def test_the_share_is_what_coats_let_through():
+    """Walls with a strong coat scatter no more than the mirror sends: the coat keeps the rest from the grey below it."""
+    coat = Lobe("specular", Color.of(1), 0.5, 3.0)
+    (notice,) = unmet_lamps.notices(Emitters(World(room(coats=(coat,)))))
+    share = float(notice.reason.split("(")[1].split(" %")[0])
+    assert 12 < share < 16
+
+
 @pytest.mark.parametrize(
-    "quiet", [{"roughness": 0.5}, {"radius": 0.1}, {"edge": 0.1}, {"color": 0.01}], ids=["rough", "sized", "small", "dark"]
+    "quiet", [{"roughness": 0.5}, {"radius": 0.1}, {"edge": 0.1}, {"color": (0.01,)}], ids=["rough", "sized", "small", "dark"]
 )
 def test_nothing_is_said_where_nothing_is_missing(quiet):
     assert not unmet_lamps.notices(Emitters(World(room(**quiet))))

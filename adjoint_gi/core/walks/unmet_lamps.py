@@ -39,7 +39,7 @@ def notices(emitters: Emitters, sized: bool = False) -> tuple[Notice, ...]:
             entered = float(power[met.row].sum())
             continue
         scatters = chains.diffuse(s.triangle, s.u, s.v).max(axis=1) > 0
-        missing[met.row] += power[met.row] * (met.weight * met.share).mean(axis=1) * (met.clear & scatters)
+        missing[met.row] += (p.weight[met.row] * met.weight * met.share).sum(axis=1) * (met.clear & scatters)
     share = float(missing.sum()) / entered if entered else 0.0
     if share < LEAST:
         return ()
