@@ -72,6 +72,14 @@ def test_differences_are_signed_and_grey_where_unknown():
     assert near(same[60:], figures.false_color(np.array([0.2]), 0.2)[0]).sum() == 0
 
 
+@pytest.mark.parametrize("off", [(0.4, 0.0, -0.2), (0.2, -0.4, 0.0), (-0.1, -0.2, -0.3)])
+def test_differences_of_one_colour_do_not_hide_those_of_another(off):
+    reference = np.ones((50, 50, 3), np.float32)
+    out = figures.differences([reference + np.float32(off)], reference, np.ones((50, 50), bool), ["x"], 0.4, 1.0)
+    want = 0.2 if sum(off) >= 0 else -0.2
+    assert near(out[60:], figures.false_color(np.array([want]), 0.4)[0]).sum() >= 50 * 50 - 10
+
+
 def test_a_falling_curve_falls_in_the_plot():
     x = np.geomspace(0.1, 10, 9)
     out = figures.plot([Curve("one", np.stack([x, 10 / np.sqrt(x)], axis=1))], "seconds", "error, %")

@@ -211,13 +211,15 @@ def round_limit(value: float) -> float:
 def differences(
     images: Sequence[np.ndarray], reference: np.ndarray, covered: np.ndarray, labels: Sequence[str], limit: float, mean: float
 ) -> np.ndarray:
-    """Signed differences (mean of the colours) to the reference (h, w, 3) in false colours, grey where not `covered`.
+    """Differences to the reference (h, w, 3) in false colours, grey where not `covered`: the mean over the channels of how far each is
+    off, with the sign of their sum, so that too much red is not hidden by too little blue.
 
     The scale below ends at +-`limit` and is labelled in shares of `mean`.
     """
     shown = []
     for image in images:
-        picture = false_color((image - reference).mean(axis=-1), limit)
+        off = image - reference
+        picture = false_color(np.copysign(np.abs(off).mean(axis=-1), off.sum(axis=-1)), limit)
         picture[~covered] = UNKNOWN
         shown.append(picture)
     grid = _grid(shown, labels, 4)

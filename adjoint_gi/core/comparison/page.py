@@ -38,7 +38,7 @@ ul { padding-left: 1.2rem; margin: .4rem 0; }
 """
 CAPTIONS = {
     "side by side": "All results and the reference at one exposure; grey where nothing was computed.",
-    "differences": "Result minus reference, mean of the colours: blue is too dark, red too bright, grey not compared.",
+    "differences": "How far the colours are off in the mean: blue is too dark in all, red too bright, grey not compared.",
     "error over time": "Relative root mean square error against the seconds that each method has computed.",
     "histogram": "How often each error occurs, on a square-root scale; the outermost bins hold what lies beyond.",
 }
