@@ -18,7 +18,7 @@ from adjgi.adjoint_gi.bridge.baking.bake import Bake, rehearse
 from adjgi.adjoint_gi.bridge.baking.report import of_bake
 from adjgi.adjoint_gi.bridge.cli import bake as cli_bake
 from adjgi.adjoint_gi.bridge.cli import progress
-from adjgi.adjoint_gi.core.method import driver, registry
+from adjgi.adjoint_gi.core.method import clock, driver, registry
 from adjgi.tests import baking
 from adjgi.tests.approval import approve, flat
 from adjgi.tests.blender import fakes
@@ -28,6 +28,7 @@ from adjgi.tests.hostile import CUBE, SQUARE, mesh, put
 
 QUICK = {"samples": 4, "particles": 4096, "max_edge": 0.5, "rays": 1024, "tolerance": 0.01, "caustic_particles": 0}
 MACHINE = re.compile(r"versions|memory|threads|seconds|longest|rays|scene.file|settings|history|.*particles|request.output")
+SMALL = re.compile(r"[0-9.]+e-[0-9]+")  # residuals are of rounding errors in the end
 SIZE = re.compile(r"about [0-9.]+ [kMG]B of memory")  # it depends on the number of threads
 
 
@@ -108,6 +109,33 @@ def test_reports_of_emitters_and_pictures_are_told_as_approved(registered, tmp_p
         told += ["", f"# {words}", *(line for line in lines if line not in known)]
         known = known or lines
     approve("box", told[1:])
+
+
+def test_steps_are_told_as_approved(registered, monkeypatch):
+    """What is told while each method works in the box, with a step wherever one may be: of texts that differ in digits alone, the first and the
+    last. The box has 24 elements of 1 m, so 48 sides, and 6 x 2 x 2 texels; a method that emits from an element looks at the sides that do.
+    """
+    box()
+    told = []
+    monkeypatch.setattr(clock, "PAUSE", -1.0)
+    for m in registry.methods():
+        values = {k: v for k, v in QUICK.items() if k in m.Settings.__dataclass_fields__}
+        values |= {k: v for k, v in {"max_edge": 1.0, "rays": 64, "max_length": 3}.items() if k in m.Settings.__dataclass_fields__}
+        potential = m.spec.answers == "potential"
+        values |= {"receivers": "objects", "objects": "Box"} if potential else {}
+        quantity = "potential" if potential else "irradiance"
+        made = Bake(bpy.context, baking.request(m.spec.id, values=values, resolution=8, quantity=quantity))
+        steps = {}
+
+        def note(job, steps=steps):
+            told_now = f"{job.fraction:.3f} {SMALL.sub('RESIDUAL', job.text)}"
+            found = steps.setdefault(re.sub("[0-9.,]+", "#", told_now), [])
+            found[1:] = [told_now]
+
+        made.driver.run(note)
+        told += ["", f"# {m.spec.label}", *(line for found in steps.values() for line in dict.fromkeys(found))]
+        told += [f"{n.severity}: {n}" for n in made.driver.solution().warnings if n.object != "Path Length"]
+    approve("steps", told[1:])
 
 
 def house():
@@ -191,9 +219,10 @@ class Clock(FakeTime):
 
 def test_times_are_told_as_approved(registered, monkeypatch):
     """A method of eight steps of 8.125 s, stopped after three of them: 24.375 s and 3/8 are done, and 5/3 of it, 40.6 s, are left."""
-    clock, told = Clock(), []
+    told = []
+    now = Clock()
     for module in (driver, progress, fakes):
-        monkeypatch.setattr(module, "time", clock)
+        monkeypatch.setattr(module, "time", now)
     monkeypatch.setattr(cli_bake, "peak_memory", lambda: None)
     with fakes.fake_method(registered):
         fakes.square().data.materials.clear()
