@@ -2161,6 +2161,20 @@ BUGS = (
         "np.abs(off.mean(axis=-1))",
         "tests/core/test_figures.py -k do_not_hide",
     ),
+    Bug(
+        "kinds of instances instead of their number",
+        "adjoint_gi/bridge/baking/preflight.py",
+        'reason.format(len(of), "s"',
+        'reason.format(len(set(of)), "s"',
+        "tests/blender/test_told_bakes.py -k checks",
+    ),
+    Bug(
+        "light left out as a share of what is absorbed",
+        "adjoint_gi/core/walks/path_limit.py",
+        "max(balance.unshot, 0.0) / (balance.absorbed + balance.unshot)",
+        "max(balance.unshot, 0.0) / max(balance.absorbed, 1e-9)",
+        "tests/core/test_told_notices.py",
+    ),
 )
 
 

@@ -74,8 +74,8 @@ def check(options: argparse.Namespace) -> int:
     notices = rehearse(bpy.context, request)
     for notice in notices:
         say(f"{notice.severity}: {notice}")
-    errors = sum(n.severity == "error" for n in notices)
-    say(f"{errors} errors, {sum(n.severity == 'warning' for n in notices)} warnings")
+    errors, warnings = (sum(n.severity == kind for n in notices) for kind in ("error", "warning"))
+    say(f"{errors} error{'s' * (errors != 1)}, {warnings} warning{'s' * (warnings != 1)}")
     return 2 if errors else 0
 
 
