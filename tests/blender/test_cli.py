@@ -253,7 +253,7 @@ def test_check_finds_without_baking(tmp_path):
     assert code == 0 and "0 errors" in out and "of memory" in out
     bpy.data.objects.remove(scene.objects["Lamp"])
     code, out, _ = command(*CHECK, "--output", tmp_path)
-    assert code == 0 and "nothing emits light" in out and "1 warnings" in out
+    assert code == 0 and "nothing emits light" in out and "1 warning\n" in out
     code, out, _ = command(*CHECK, "--target", "attribute", "--objects", "Camera")
     assert code == 2 and "error: Camera: is a camera, not a mesh" in out
     assert list(tmp_path.iterdir()) == []
