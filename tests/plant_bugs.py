@@ -2175,6 +2175,20 @@ BUGS = (
         "max(balance.unshot, 0.0) / max(balance.absorbed, 1e-9)",
         "tests/core/test_told_notices.py",
     ),
+    Bug(
+        "hidden layers are removed one by one",
+        "adjoint_gi/bridge/results/carried.py",
+        "    if _waiting:\n",
+        "    if not _waiting:\n",
+        "tests/blender/test_carried_uv.py -k taken_back_together",
+    ),
+    Bug(
+        "each instance that cannot receive is found by making all of them again",
+        "adjoint_gi/bridge/baking/bake.py",
+        '    refused.notices += [n for n in found if n.severity == "error"]\n',
+        '    refused.notices += [n for n in found if n.severity == "error"][:1]\n',
+        "tests/blender/test_bake_instances.py -k in_one_go",
+    ),
 )
 
 

@@ -6,7 +6,9 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.bridge.baking import bake
 from adjgi.adjoint_gi.bridge.baking.bake import Bake, preflight, rehearse
+from adjgi.adjoint_gi.bridge.baking.instances import make
 from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
 from adjgi.adjoint_gi.bridge.cli import main as cli
 from adjgi.adjoint_gi.bridge.props.properties import request_of
@@ -385,3 +387,17 @@ def test_what_was_made_is_taken_back_together(registered, monkeypatch):
     monkeypatch.setattr(real, "remove_objects", lambda uids: calls.append(list(uids)) or remove(uids))
     rehearse(bpy.context, baking.request(instances=True))
     assert [len(uids) for uids in calls if uids] == [3] and not real.objects_of(bpy.context.scene)
+
+
+def test_all_that_cannot_receive_are_left_out_in_one_go(registered, monkeypatch):
+    """Meshes without room for one more UV layer were found one by one, each by making all instances again."""
+    collections()
+    for k in range(8):
+        bpy.data.objects["chair"].data.uv_layers.new(name=f"{k}")
+    mesh(*SQUARE, name="floor").location = (0, 0, -5)
+    bpy.context.view_layer.update()
+    calls = []
+    monkeypatch.setattr(bake, "make", lambda *args: calls.append(args) or make(*args))
+    (found,) = [n for n in rehearse(bpy.context, asked()) if "it is in the light, but not baked" in n.reason]
+    assert len(found.names) == 3 and "has 8 UV layers" in found.reason and not real.objects_of(bpy.context.scene)
+    assert len(calls) == 2, "for all, and for what is left"

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
-from ...core.base.errors import AdjointError, Notice, SceneError, TargetError
+from ...core.base.errors import AdjointError, Notice, Refusals, SceneError, TargetError
 from ...core.flux.density import Given
 from ...core.method.driver import Driver
 from ...core.method.solution import Solution
@@ -150,12 +150,13 @@ def building(request: BakeRequest, said: list[Notice]) -> Stages[Built]:
         except (SceneError, TargetError) as error:
             context = bpy.context
             objects = [o.name for o in target_objects(context, request)] if request.target != "render" and not request.objects else []
-            name, objects = made.get(error.notice.object, error.notice.object), [*objects, *made.values()]
-            if request.objects or name not in objects or len(objects) == 1 or name in request.left_out:
+            refused = [error.notice, *error.others]
+            names, objects = {made.get(n.object, n.object): None for n in refused}, {*objects, *made.values()}
+            if request.objects or not names.keys() <= objects or objects <= names.keys() or names.keys() & set(request.left_out):
                 said += [*told, *notices]
                 raise
-            told.append(left_out(error.notice))
-            request = replace(request, left_out=(*request.left_out, name))
+            told += [left_out(n) for n in refused]
+            request = replace(request, left_out=(*request.left_out, *names))
             continue
         said += [*told, *notices]
         return built
@@ -236,9 +237,9 @@ def _first_step(driver: Driver) -> None:
 def _checked(real: Real, request: BakeRequest) -> list[Notice]:
     """What is said of the objects that were made; raises `TargetError` for one that cannot receive."""
     found = [n for obj in real.objects.values() for n in checker(request)(obj, request)]
-    for n in found:
-        if n.severity == "error":
-            raise TargetError(n.object, n.reason, n.remedy)
+    refused = Refusals()
+    refused.notices += [n for n in found if n.severity == "error"]
+    refused.raise_all()
     return found
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...core.base.errors import AdjointError, Notice
+from ...core.base.errors import AdjointError, Notice, Refusals
 from ...core.base.steps import Steps, within
 from ...core.base.text import json_text
 from ...core.denoise.ground import Ground, texel_ground
@@ -46,6 +46,7 @@ from ..results.lightmap_uv import (
     own_layer,
     plan_of,
     shares_square,
+    take_back,
     write_plan,
 )
 from ..results.show import unhidden
@@ -129,17 +130,21 @@ class TextureWriter(Writer):
         """The UV layers of the objects `groups`, in slices; says what is wrong with them."""
         objects = [self.world.scene.objects[i] for group in groups for i in group]
         layers: list[str] = []
+        refused = Refusals()
         while len(layers) < len(objects):
             rest, turn = objects[len(layers) :], Turn()
             depsgraph = bpy.context.evaluated_depsgraph_get()
             found = find_objects(tuple(o.uid for o in rest), rest[0].source)
             turn.back()
             for obj in found:
-                layers.append(self._layer(obj, depsgraph))
+                layers.append("")
+                with refused.each():
+                    layers[-1] = self._layer(obj, depsgraph)
                 if turn.over():
                     break
             if len(layers) < len(objects):
                 yield "Placing texels"
+        refused.raise_all()
         in_order = iter(layers)
         return [list(itertools.islice(in_order, len(group))) for group in groups]
 
@@ -154,10 +159,13 @@ class TextureWriter(Writer):
     def _sheets(self, groups: list[list[int]], layers: list[list[str]], sides: np.ndarray) -> Steps[None]:
         """The sheets of all groups of objects, with their UV `layers` and texels a side, and all receivers. Needs no Blender."""
         facing = baked_sides(self.world, [i for group in groups for i in group]).facing
-        sheets = []
-        for group, names, side in zip(groups, layers, sides, strict=True):
-            sheets.append(self._sheet(group, names, int(side), facing))
-            yield len(sheets) / len(groups)
+        sheets: list[Sheet] = []
+        refused = Refusals()
+        for k, (group, names, side) in enumerate(zip(groups, layers, sides, strict=True)):
+            with refused.each():
+                sheets.append(self._sheet(group, names, int(side), facing))
+            yield (k + 1) / len(groups)
+        refused.raise_all()
         self.given = [part for group, sheet in zip(groups, sheets, strict=True) for part in sheet.given(self.world, group)]
         self.receivers, parts = join([sheet.lightmap.receivers for sheet in sheets])
         self.sheets: Sequence[Sheet] = [replace(sheet, part=part) for sheet, part in zip(sheets, parts, strict=True)]
@@ -264,10 +272,14 @@ def _preparing(request: BakeRequest, world: World, indices: list[int], same: Cal
     copies = yield from _copying([uids[i] for part in parts for i in part], same)
 
     def planning() -> Steps[list[UvPlan]]:
-        out, rest = [], iter(copies)
+        out: list[UvPlan] = []
+        rest, refused = iter(copies), Refusals()
         for k, part in enumerate(parts):
-            out.append(plan_of((), list(itertools.islice(rest, len(part)))))
+            own = list(itertools.islice(rest, len(part)))
+            with refused.each():
+                out.append(plan_of((), own))
             yield (k + 1) / len(parts)
+        refused.raise_all()
         return out
 
     plans = yield Aside("Reading the faces", planning())
@@ -276,20 +288,23 @@ def _preparing(request: BakeRequest, world: World, indices: list[int], same: Cal
     density = yield Aside("Looking from the camera and inside", once(lambda: _densities(world, indices, factors, request)))
 
     def unwrapping() -> Steps[list[Made]]:
-        out = []
+        out: list[Made] = []
+        refused = Refusals()
         for k, (part, plan) in enumerate(zip(parts, plans, strict=True)):
             own = [names[i] for i in part]
             steps = unwrapping_to_density(own, factors[part], plan.faces, request, int(sides[part[0]]), density[part])
-            found, side, told = yield from within(steps, k / len(parts), (k + 1) / len(parts))
-            out.append(Made(found, plan.spread(found), side, told))
+            with refused.each():
+                found, side, told = yield from within(steps, k / len(parts), (k + 1) / len(parts))
+                out.append(Made(found, plan.spread(found), side, told))
+        refused.raise_all()
         return out
 
     unwrapped = yield Aside("Unwrapping", unwrapping())
 
     # Step 3: write the layers. The objects are those that were read, but an undo may have given them other places in memory.
     same()
-    found = [find_objects(tuple(uids[i] for i in part), "Object") for part in parts]
-    plans = [replace(plan, objects=tuple(own)) for plan, own in zip(plans, found, strict=True)]
+    found = iter(find_objects(tuple(uids[i] for part in parts for i in part), "Object"))
+    plans = [replace(plan, objects=tuple(itertools.islice(found, len(part)))) for plan, part in zip(plans, parts, strict=True)]
     with unhidden(bpy.context.view_layer):
         made = _write_layers(plans, unwrapped, request)
     made.notices[:0] = why
@@ -300,8 +315,8 @@ def _preparing(request: BakeRequest, world: World, indices: list[int], same: Cal
 def _copying(uids: list[int], same: Callable[[], None]) -> Stages[list[PlanCopy]]:
     """Copy the meshes of the objects of these session_uids, in slices; `same` raises when they are not as they were, and is to be asked
     again in the end for what changes without a sign."""
-    copies: list[PlanCopy] = []
-    seen = changes.count()
+    copies: list[PlanCopy | None] = []
+    seen, refused = changes.count(), Refusals()
     while len(copies) < len(uids):
         if changes.count() != seen:
             same()
@@ -310,12 +325,15 @@ def _copying(uids: list[int], same: Callable[[], None]) -> Stages[list[PlanCopy]
         with unhidden(bpy.context.view_layer):
             turn.back()
             for obj in objects:
-                copies.append(copy_for_plan(obj, bpy.context.view_layer))
+                copies.append(None)
+                with refused.each():
+                    copies[-1] = copy_for_plan(obj, bpy.context.view_layer)
                 if turn.over():
                     break
         if len(copies) < len(uids):
             yield "Reading the faces"
-    return copies
+    refused.raise_all()
+    return [copy for copy in copies if copy is not None]
 
 
 def _object(world: World, index: int) -> bpy.types.Object:
@@ -340,12 +358,16 @@ def _to_unwrap(
 
 def _write_layers(plans: list[UvPlan], unwrapped: list[Made], request: BakeRequest) -> Prepared:
     """Give all objects of `plans` their layers, or none."""
-    made = Prepared([])
+    made, restoring = Prepared([]), []
+    made.undo.callback(take_back, restoring)
+    refused = Refusals()
     try:
         for plan, new in zip(plans, unwrapped, strict=True):
-            made.undo.callback(write_plan(plan, new.unwrapped, new.uvs))
-            note(plan.objects, request, new.side)
-            made.notices += [*notices(plan.objects, new.unwrapped), *new.notices]
+            with refused.each():
+                restoring.append(write_plan(plan, new.unwrapped, new.uvs))
+                note(plan.objects, request, new.side)
+                made.notices += [*notices(plan.objects, new.unwrapped), *new.notices]
+        refused.raise_all()
     except AdjointError:
         made.undo.close()
         raise

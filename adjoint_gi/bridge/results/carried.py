@@ -22,6 +22,7 @@ from ..host.versions import modifier_input, set_modifier_input
 from . import links as targets
 from . import stored
 from .attribute import KEEPS_TOPOLOGY
+from .real import remove_objects
 from .stored import HOLDER, TREE
 
 KIND = "carry"  # value of our custom property of node groups that says which group this is
@@ -35,7 +36,7 @@ CHANGED = "The mesh has changed since its lightmap UVs were made. Renew them and
 
 def must_carry(obj: bpy.types.Object) -> bool:
     """Whether UVs on the mesh itself would not do: modifiers make faces, other objects use the mesh, or it belongs to another file."""
-    return any(m.type not in KEEPS_UVS for m in _enabled(obj)) or targets.linked(obj, True) is not None or bool(targets.sharing(obj))
+    return any(m.type not in KEEPS_UVS for m in _enabled(obj)) or targets.linked(obj, True) is not None or targets.shares(obj)
 
 
 def carrier(obj: bpy.types.Object) -> bpy.types.Modifier | None:
@@ -58,10 +59,10 @@ def holder(obj: bpy.types.Object) -> bpy.types.Object | None:
     """The hidden object whose vertices are the UVs of `obj`; None where it is lost."""
     modifier = carrier(obj)
     found = modifier_input(modifier, "UVs") if modifier is not None else None
-    return found if isinstance(found, bpy.types.Object) and _is_holder(found) else None
+    return found if isinstance(found, bpy.types.Object) and is_holder(found) else None
 
 
-def _is_holder(obj: bpy.types.Object) -> bool:
+def is_holder(obj: bpy.types.Object) -> bool:
     """Whether a bake has made `obj` to hold UVs, whatever a damaged file says: it is of vertices only."""
     return obj.type == "MESH" and not obj.data.polygons and stored.read(obj, HOLDER) is not None
 
@@ -111,7 +112,7 @@ def carry(obj: bpy.types.Object, name: str, uv: np.ndarray, vertex: np.ndarray) 
     _place(obj, modifier)
     obj.update_tag()
     if old is not None and old.users == 0:
-        _remove(old)
+        _remove([old])
 
 
 def carried(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray] | None:
@@ -132,7 +133,7 @@ def drop(obj: bpy.types.Object) -> bool:
     set_modifier_input(modifier, "UVs", None)  # Blender 5.2 does not count a user less when the modifier goes
     obj.modifiers.remove(modifier)
     if own is not None and own.users == 0:
-        _remove(own)
+        _remove([own])
     if tree.users == 0:
         bpy.data.node_groups.remove(tree)
     return True
@@ -141,8 +142,7 @@ def drop(obj: bpy.types.Object) -> bool:
 def drop_orphans() -> None:
     """Remove hidden objects, and the node group, that nothing needs any more because objects or modifiers were deleted."""
     needed = {holder(o) for o in bpy.data.objects if o.type == "MESH"}
-    for obj in [o for o in bpy.data.objects if _is_holder(o) and o not in needed]:
-        _remove(obj)
+    _remove([o for o in bpy.data.objects if is_holder(o) and o not in needed])
     for tree in [t for t in bpy.data.node_groups if stored.read(t, TREE) == KIND and t.users == 0]:
         bpy.data.node_groups.remove(tree)
 
@@ -226,11 +226,26 @@ def _fill(mesh: bpy.types.Mesh, uv: np.ndarray, vertex: np.ndarray) -> None:
     mesh.update()
 
 
-def _remove(own: bpy.types.Object) -> None:
-    mesh = own.data
-    bpy.data.objects.remove(own)
-    if mesh.users == 0:
-        bpy.data.meshes.remove(mesh)
+_waiting: list[list[int]] = []  # session_uids of what `removing_together` will remove, by the one inside which others are
+
+
+@contextlib.contextmanager
+def removing_together() -> Iterator[None]:
+    """Hidden objects that nothing needs any more go at once in the end: for each removal Blender looks through all datablocks."""
+    _waiting.append([])
+    try:
+        yield
+    finally:
+        remove_objects(_waiting.pop())
+
+
+def _remove(objects: Sequence[bpy.types.Object]) -> None:
+    """Remove hidden objects, now or with those that go together."""
+    uids = [obj.session_uid for obj in objects]
+    if _waiting:
+        _waiting[-1].extend(uids)
+    else:
+        remove_objects(uids)
 
 
 def _enabled(obj: bpy.types.Object) -> list[bpy.types.Modifier]:

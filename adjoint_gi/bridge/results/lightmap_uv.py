@@ -25,6 +25,7 @@ from ..host.meshes import corner_vertices, first_corners
 from . import carried, stored
 from . import links as targets
 from .faces import FacesCopy, MeshFaces, copy_faces
+from .real import is_real
 from .stored import ASKED, FACES, SHARED
 
 STORED = stored.UV  # custom property of the mesh: name of the layer made by us
@@ -88,9 +89,14 @@ def outdated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> str:
 
 
 def check_target(obj: bpy.types.Object) -> None:
-    """Raise TargetError unless `obj` can have a layer of ours: not of another file, and its mesh in edit mode on no object."""
+    """Raise TargetError unless `obj` can have a layer of ours: not of another file, and its mesh in edit mode on no object.
+
+    What a bake has made of an instance is in the light with its own mesh, to which no modifier adds a layer.
+    """
     targets.check_object(obj)
     targets.check_edit_mode(obj)
+    if is_real(obj) and not _room(obj):
+        raise TargetError(obj.name, f"has {MOST} UV layers, as many as there can be", "Remove one from the mesh that it is made of")
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +161,13 @@ def write_plan(plan: UvPlan, unwrapped: Unwrapped, uvs: Sequence[np.ndarray], na
                 _write_layer(obj, name, uv)
         _mark_shared(plan.objects, unwrapped)
         return back.pop_all().close
+
+
+def take_back(restoring: Sequence[Callable[[], None]]) -> None:
+    """Call all that `write_plan` returned, the last first."""
+    with carried.removing_together(), contextlib.ExitStack() as back:
+        for restore in restoring:
+            back.callback(restore)
 
 
 def make_lightmap_uvs(
@@ -336,7 +349,13 @@ def _snapshot(obj: bpy.types.Object) -> Callable[[], None]:
     beside, on_mesh = _marks(marked(obj)), _marks(obj.data)  # whatever they hold: what is damaged is put back, too
 
     def restore() -> None:
-        remove_lightmap_uv(obj)
+        own = carried.holder(obj)
+        if before is None:
+            carried.drop(obj)
+        elif own is not None:
+            for key in _marks(own):
+                del own[key]
+        _remove_from_mesh(obj)
         if before is not None:
             carried.carry(obj, name, *before)
         elif uv is not None:

@@ -75,6 +75,11 @@ def sharing(obj: bpy.types.Object) -> list[bpy.types.Object]:
     return [other for other in bpy.data.objects if other.data == obj.data and other != obj]
 
 
+def shares(obj: bpy.types.Object) -> bool:
+    """Whether another object uses the same mesh: of thousands that do, the first that is met answers."""
+    return obj.data.users > 1 and any(other.data == obj.data and other != obj for other in bpy.data.objects)
+
+
 def link(obj: bpy.types.Object, key: str) -> Any | None:
     """The stored group of `key` if `obj` owns it; a copy of an object carries links that are its original's."""
     entry = stored.entry(obj, RESULTS, key)

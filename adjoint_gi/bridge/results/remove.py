@@ -30,7 +30,9 @@ def remove_results(scene: bpy.types.Scene) -> dict[str, int]:
     images = remove_images(objects)
     for obj in objects:
         links.forget(obj)
-    layers = sum(remove_lightmap_uv(o, set(changed)) for o in layered)
+    going = set(changed)
+    with carried.removing_together():
+        layers = sum(remove_lightmap_uv(o, going) for o in layered)
     attributes = sum(remove_attributes(o) for o in changed)
     instances = real.remove(scene)
     carried.drop_orphans()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from .text import printable
@@ -55,3 +57,26 @@ class WriteError(AdjointError):
 
 class TargetError(AdjointError):
     """The place to write to is missing or cannot be used: no UV layer, linked mesh, symlink, not our file."""
+
+
+class Refusals:
+    """Errors of many objects, raised together in the end: who leaves out what is refused then tries again once, not once for each."""
+
+    def __init__(self) -> None:
+        self.notices: list[Notice] = []
+
+    @contextlib.contextmanager
+    def each(self) -> Iterator[None]:
+        """Around what is done for one object, which may raise SceneError or TargetError."""
+        try:
+            yield
+        except (SceneError, TargetError) as error:
+            self.notices += [error.notice, *error.others]
+
+    def raise_all(self) -> None:
+        """Raise TargetError for the first, with the others."""
+        if self.notices:
+            first, *others = self.notices
+            error = TargetError(first.object, first.reason, first.remedy)
+            error.others = tuple(others)
+            raise error
