@@ -2189,6 +2189,41 @@ BUGS = (
         '    refused.notices += [n for n in found if n.severity == "error"][:1]\n',
         "tests/blender/test_bake_instances.py -k in_one_go",
     ),
+    Bug(
+        "chains of mirrors keep what passes a mixed surface",
+        "adjoint_gi/core/walks/mirror_chains.py",
+        "            weight *= at.stay[rows[go], None]\n",
+        "            pass\n",
+        "tests/core/test_first_passes.py -k share",
+    ),
+    Bug(
+        "metal counts as white without its weight",
+        "adjoint_gi/core/bsdf/reflection.py",
+        "Color.of(1 / 21) * lobe.weight",
+        "Color.of(1 / 21)",
+        "tests/core/test_mixes.py -k black",
+    ),
+    Bug(
+        "the highlight of a coat is a root",
+        "adjoint_gi/core/bsdf/reflection.py",
+        "(((seen.ior - 1) / (seen.ior + 1)) ** 2)",
+        "((seen.ior - 1) / (seen.ior + 1))",
+        "tests/methods/test_local_illumination.py -k highlight",
+    ),
+    Bug(
+        "the range of alpha is that of red",
+        "adjoint_gi/core/scene/shading.py",
+        "a[..., 3 if source.alpha else 0]",
+        "a[..., 0]",
+        "tests/core/test_varying_lobes.py -k range",
+    ),
+    Bug(
+        "smaller copies overflow beside dark texels",
+        "adjoint_gi/core/scene/texture.py",
+        "np.float16 if mean.max() <= LARGEST_HALF",
+        "np.float16 if mean.min() <= LARGEST_HALF",
+        "tests/core/test_texture.py -k bright",
+    ),
 )
 
 

@@ -32,6 +32,23 @@ def test_roulette_keeps_the_light_of_chains():
     assert carried[: ROULETTE_FROM + 2] == pytest.approx(0.7 ** np.arange(ROULETTE_FROM + 2), rel=0.02)
 
 
+@pytest.mark.parametrize("tint", [1.0, 0.6])
+def test_chains_share_what_a_mirror_sends_and_what_passes_it(tint):
+    """Half of a ray goes on straight, and half is reflected: what meets the two walls is 0.5 and 0.5 times the colour."""
+    b = SceneBuilder()
+    half = Material("Half", (Lobe("glossy", Color.of(tint), 0.0, weight=0.5), Lobe("transparent", Color.of(1.0), weight=0.5)))
+    b.quad("Pane", (-1, -1, 0), (2, 0, 0), (0, 2, 0), half)
+    b.quad("Above", (-9, -9, 2), (0, 18, 0), (18, 0, 0), diffuse("Above", 0.5))
+    b.quad("Below", (-9, -9, -2), (18, 0, 0), (0, 18, 0), diffuse("Below", 0.5))
+    n = 40_000
+    origin, down = np.tile(np.float32((0.3, 0.2, 1)), (n, 1)), np.tile(np.float32((0, 0, -1)), (n, 1))
+    met = np.zeros(2)
+    for part in Chains(World(b.build()), 4).follow(origin, down, RayKind.DIFFUSE, np.random.default_rng(3)):
+        side = part.surface.position[:, 2]
+        met += [part.weight[side > 1, 0].sum() / n, part.weight[side < -1, 0].sum() / n]
+    assert met == pytest.approx([0.5 * tint, 0.5], abs=0.015)
+
+
 @pytest.mark.parametrize("low", [0, 1, 2, 3, 4, 5])
 @pytest.mark.parametrize("segments", [0, 1, 2])
 def test_known_light_of_all_lengths_leaves_out_what_is_too_short(low, segments):

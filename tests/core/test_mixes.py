@@ -117,6 +117,8 @@ def test_black_metal_still_reflects(kind):
         assert leaving([metal]).mean() == pytest.approx(1 / 21, rel=0.01)
     else:
         assert as_diffuse(Material("M", (metal,))).constant == pytest.approx([1 / 21] * 3)
+        half = dataclasses.replace(metal, weight=0.5)
+        assert as_diffuse(Material("M", (half,))).constant == pytest.approx([0.5 / 21] * 3)
 
 
 @pytest.mark.parametrize("name", ["metal", "coats", "rough"])

@@ -87,6 +87,16 @@ def test_smaller_copies_are_box_means(size, monkeypatch):
         np.testing.assert_allclose(small.pixels, boxes, rtol=1e-3, atol=1e-6)
 
 
+@pytest.mark.parametrize("bright", [6e4, 1e6])
+def test_smaller_copies_hold_what_is_bright_beside_what_is_dark(bright):
+    """Halves end at 65504."""
+    pixels = np.ones((4, 4, 4), np.float32)
+    pixels[:2, :, :3] = bright
+    small = Texture("Lamp", pixels).smaller(1)
+    assert small.stored.dtype == (np.float16 if bright == 6e4 else np.float32)
+    np.testing.assert_allclose(small.pixels[:, 0, 0], [bright, 1.0], rtol=1e-3)
+
+
 def test_shrunk_keeps_what_fits_and_fits_what_it_shrinks():
     whole = Texture("a", stored(3, size=(64, 64)))
     assert shrunk(whole, 64 * 64 * 3) is whole

@@ -178,6 +178,7 @@ def test_the_range_of_a_number_is_that_of_its_images():
     pixels[..., 0] = [[0.25, 0.5], [0.5, 0.75]]
     other = pixels.copy()
     other[..., 0] = [[-3.0, 0.5], [0.5, 1.0]]
+    other[0, 0, 3] = 0.125
     scene = quads([diffuse("M", 0.5)], [Texture("A", pixels, extension) for extension in ("EXTEND", "CLIP")] + [Texture("B", other)])
 
     def found(*numbers):
@@ -187,3 +188,4 @@ def test_the_range_of_a_number_is_that_of_its_images():
     assert found(image(0, -2.0)) == (-1.5, -0.5)
     product = Color((Term((-1.0, 0.0, 0.0), (Source("image", "", 2), Source("image", "", 2))),))
     assert found(product) == (-9.0, 3.0)
+    assert found(Color((Term((1.0, 0.0, 0.0), (Source("image", "", 2, alpha=True),)),))) == (0.125, 1.0)

@@ -11,7 +11,7 @@ from adjgi.adjoint_gi.core.bsdf.cook_torrance import cook_torrance
 from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
-from adjgi.adjoint_gi.core.lights.light_points import LightPoints, phong_lobe
+from adjgi.adjoint_gi.core.lights.light_points import LightPoints, exponent, phong_lobe
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
 from adjgi.adjoint_gi.core.scene.world import World
@@ -167,6 +167,17 @@ def test_phong_lobe_reflects_its_share():
         lobes = BsdfTable(world.scene).at(*at, up, np.ones(n, np.float32), up)
         total = 2 * math.pi * (phong_lobe(lobes, wi)[:, 0].astype(float) * z).mean()
         assert total == pytest.approx(0.7, rel=2e-3)
+
+
+def test_the_highlight_of_a_coat_has_what_glass_reflects_straight_on():
+    """((n - 1) / (n + 1))^2 of index 1.5 is 0.04, of 2 it is 1/9; mirrored, the lobe is (m + 2) / 2 pi times that."""
+    for ior, expected in ((1.5, 0.04), (2.0, 1 / 9)):
+        world = World(floor(material=Material("C", (Lobe("specular", Color.of(1.0), 0.5, ior=ior),))).build())
+        up = np.array([(0, 0, 1)], np.float32)
+        at = np.zeros(1, np.int32), np.full(1, 0.2, np.float32), np.full(1, 0.2, np.float32)
+        lobes = BsdfTable(world.scene).at(*at, up, np.ones(1, np.float32), up)
+        found = phong_lobe(lobes, up)[0, 0] * 2 * math.pi / (exponent(np.array([0.5]))[0] + 2)
+        assert found == pytest.approx(expected, rel=1e-3)
 
 
 def facets_of(lobe, wo, wi):
