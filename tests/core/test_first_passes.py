@@ -4,16 +4,21 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.core.bsdf.table import BsdfTable
 from adjgi.adjoint_gi.core.elements.elements import Elements
 from adjgi.adjoint_gi.core.elements.rays import ElementRays
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.radiosity.southwell import DiffuseShooting
 from adjgi.adjoint_gi.core.sampling.maps import sphere
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material, RayKind
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.two_pass.extended_factors import ExtendedShots
 from adjgi.adjoint_gi.core.two_pass.known_light import lengths_of
+from adjgi.adjoint_gi.core.two_pass.view_pass import View
 from adjgi.adjoint_gi.core.walks.mirror_chains import ROULETTE_FROM, Chains
+from adjgi.adjoint_gi.core.walks.paths import Walk
+from adjgi.adjoint_gi.core.walks.radiance import start
 
 
 def test_roulette_keeps_the_light_of_chains():
@@ -47,6 +52,27 @@ def test_chains_share_what_a_mirror_sends_and_what_passes_it(tint):
         side = part.surface.position[:, 2]
         met += [part.weight[side > 1, 0].sum() / n, part.weight[side < -1, 0].sum() / n]
     assert met == pytest.approx([0.5 * tint, 0.5], abs=0.015)
+
+
+@pytest.mark.parametrize("hops", [0, 1, 2])
+def test_mirrors_are_no_hops_of_a_view_pass(hops):
+    """Seen in a mirror, the ceiling is the first surface of those that are sampled before light is known."""
+    b = SceneBuilder()
+    b.quad("Mirror", (-0.1, -0.1, 0.5), (0.2, 0, 0), (0, 0.2, 0), Material("Mirror", (Lobe("glossy", Color.of(1.0), 0.0),)))
+    b.quad("Floor", (-9, -9, 0), (18, 0, 0), (0, 18, 0), diffuse("Floor", 0.5))
+    b.quad("Ceiling", (-9, -9, 2), (0, 18, 0), (18, 0, 0), diffuse("Ceiling", 0.5))
+    world, read = World(b.build()), []
+
+    class Known:
+        def at(self, surface, segments):
+            read.append(int(np.min(segments)))
+            return np.ones((2, len(surface.triangle), 3))
+
+    walk = Walk(world, Emitters(world), BsdfTable(world.scene))
+    down = np.tile(np.float32((0, 0, -1)), (200, 1))
+    mirror = world.surface(np.zeros(200, np.int32), np.full(200, 0.2, np.float32), np.full(200, 0.2, np.float32), down)
+    View(walk, Known(), hops, sharp=False).gather(start(walk, mirror, -down)[0], np.random.default_rng(1))
+    assert min(read) == hops + 1
 
 
 @pytest.mark.parametrize("low", [0, 1, 2, 3, 4, 5])
