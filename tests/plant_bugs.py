@@ -2231,6 +2231,27 @@ BUGS = (
         'before["hops"] - 1',
         "tests/core/test_first_passes.py -k no_hops",
     ),
+    Bug(
+        "faces whose first corner is the nearest to a lamp are not near it",
+        "adjoint_gi/core/lights/point.py",
+        "    high = corner + np.maximum(0, np.maximum(e1, e2))\n",
+        "    high = corner + np.maximum(e1, e2)\n",
+        "tests/core/test_lights.py -k near_a_lamp",
+    ),
+    Bug(
+        "half of an odd gap between charts is rounded down",
+        "adjoint_gi/core/receivers/pack.py",
+        "options.resolution, options.texels_per_unit = (gap + 1) // 2, resolution",
+        "options.resolution, options.texels_per_unit = gap // 2, resolution",
+        "tests/core/test_pack.py -k odd_gap",
+    ),
+    Bug(
+        "receivers that count particles keep their emission at any least length",
+        "adjoint_gi/core/flux/tally.py",
+        "        self._emits = settings.min_length == 0\n",
+        "        self._emits = True\n",
+        "tests/methods/test_particle_lobes.py -k own_emission",
+    ),
 )
 
 

@@ -19,7 +19,7 @@ from adjgi.adjoint_gi.core.lights.direct import direct_irradiance
 from adjgi.adjoint_gi.core.lights.emission import Emission
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.lights.mesh import MeshLights
-from adjgi.adjoint_gi.core.lights.point import PointLights
+from adjgi.adjoint_gi.core.lights.point import PointLights, near
 from adjgi.adjoint_gi.core.lights.spot import SpotLights
 from adjgi.adjoint_gi.core.lights.sun import SunLights
 from adjgi.adjoint_gi.core.sampling import maps
@@ -249,6 +249,19 @@ def test_gathering_and_shooting_put_the_same_light_on_what_lies_within_a_lamp(ki
         walk(world, emission.draw(8192, rng), 1, rng, visit)
     mean, error = statistics(shot.reshape(3, 2, 2, 3, batches).sum(axis=1))
     agree([np.concatenate(x) for x in zip(*gathered, strict=True)], (mean.ravel(), error.ravel()), kind)
+
+
+@pytest.mark.parametrize("tip", [0, 1, 2])
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_face_is_near_a_lamp_whichever_of_its_corners_is(tip, sign):
+    """A face whose tip alone lies in the sphere of the lamp, which is up, down or to a side of all the rest."""
+    corners = np.roll(sign * np.array([(0, 0, 0), (-1, -2, -3), (-2, -1, -3)], float), tip, axis=0)
+    b = SceneBuilder()
+    b.mesh("Face", corners, [[0, 1, 2]], diffuse("Black", 0.0))
+    world = World(b.build())
+    beyond = sign * np.array([0.05, 0.05, 0.05])
+    assert near(world, beyond - world.center, 0.2)
+    assert not near(world, 10 * beyond - world.center, 0.2)
 
 
 def even_directions(n, rng):

@@ -99,6 +99,17 @@ def test_shapes_are_packed_closer_than_their_rectangles():
     assert pack_tightly(charts, 512, 2)[1] > 1.15 * pack_on_shelves(charts, 512, 2)[1]
 
 
+def test_corners_and_edges_of_shapes_keep_an_odd_gap_too():
+    """Half of an odd gap is rounded up: charts that are no rectangles touch with corners, which no texel of their rims keeps apart."""
+    triangles = np.random.default_rng(3).uniform(0, 2, (24, 3, 2))
+    corner = pack_tightly(Charts(triangles, np.arange(24)), 256, 1)[0].astype(float) * 256
+    edge = np.roll(corner, -1, axis=1) - corner
+    off = corner[:, None, :, None] - corner[None, :, None]  # of corners of one chart to starts of edges of another
+    along = np.clip((off * edge[None, :, None]).sum(-1) / (edge**2).sum(-1)[None, :, None], 0, 1)
+    distance = np.linalg.norm(off - along[..., None] * edge[None, :, None], axis=-1).min(axis=(2, 3))
+    assert distance[~np.eye(24, dtype=bool)].min() >= 1
+
+
 @pytest.mark.parametrize("pack", [pack_on_shelves, pack_tightly])
 def test_too_many_charts_do_not_fit(pack):
     with pytest.raises(TargetError, match="100 UV islands do not fit into 16 x 16"):

@@ -216,6 +216,15 @@ def test_density_at_vertices_is_the_mean_over_the_faces_around():
     np.testing.assert_allclose(solution.direct[:, 0], [1, 1 / 3, 0], atol=0.08)
 
 
+@pytest.mark.parametrize("shortest", [0, 1])
+def test_own_emission_at_receivers_is_light_of_length_0(shortest):
+    """What a wall emits itself, which a least length of 1 leaves out."""
+    scene = scenes.cube(0.5, 1.0)
+    solution = solve(World(scene), grid_texels(scene, 2), 1000, score="receivers", min_length=shortest)
+    np.testing.assert_allclose(solution.emitted, float(shortest == 0), rtol=1e-6)
+    assert solution.direct.all()
+
+
 def test_counting_at_receivers_is_the_same_for_any_number_of_threads(monkeypatch):
     scene = scenes.cornell()
     found = []
