@@ -2252,6 +2252,13 @@ BUGS = (
         "        self._emits = True\n",
         "tests/methods/test_particle_lobes.py -k own_emission",
     ),
+    Bug(
+        "collections inside a hidden one count",
+        "adjoint_gi/bridge/extract/visibility.py",
+        "        off = off or layer.collection.hide_render\n",
+        "        off = layer.collection.hide_render\n",
+        "tests/blender/test_extract_visibility.py -k shown_collection",
+    ),
 )
 
 

@@ -216,8 +216,15 @@ def excluded_collection_beside_a_shown_one():
     bpy.context.view_layer.layer_collection.children["out"].exclude = True
 
 
+def shown_collection_in_a_hidden_one():
+    plane("shown")
+    outer = collection("outer")
+    plane("a", collection("inner", outer))
+    outer.hide_render = True
+
+
 DECIDED = [
-    hidden_collection_beside_an_excluded_one, excluded_collection_beside_a_shown_one,
+    shown_collection_in_a_hidden_one, hidden_collection_beside_an_excluded_one, excluded_collection_beside_a_shown_one,
     hidden_child_collection, hidden_collection, hidden_member_between_members, member_of_a_hidden_and_a_shown_collection,
     instances_within_instances, source_hidden_beside_its_host_in_a_collection, nodes_of_a_hidden_object, nodes_that_scatter_a_hidden_object,
     nodes_of_a_hidden_object_by_modifier, nodes_of_a_collection_with_a_hidden_object, nodes_of_a_collection_by_modifier,
