@@ -2259,6 +2259,41 @@ BUGS = (
         "        off = layer.collection.hide_render\n",
         "tests/blender/test_extract_visibility.py -k shown_collection",
     ),
+    Bug(
+        "what others put in the place of a file meanwhile is replaced",
+        "adjoint_gi/core/base/atomic.py",
+        "        check_target(path, folder, ours)\n        os.replace",
+        "        os.replace",
+        "tests/core/test_exr.py -k meanwhile",
+    ),
+    Bug(
+        "attributes of meshes that another scene shares are removed",
+        "adjoint_gi/bridge/results/remove.py",
+        "_has_layers(o) and {other.session_uid for other in links.sharing(o)} <= own]",
+        "_has_layers(o)]",
+        "tests/blender/test_operators.py -k another_scene",
+    ),
+    Bug(
+        "faces that are turned over are no edit",
+        "adjoint_gi/bridge/baking/watch.py",
+        "    return zlib.crc32(corner_vertices(mesh), zlib.crc32(positions(mesh)))",
+        "    return zlib.crc32(positions(mesh))",
+        "tests/blender/test_jobs.py -k turned_over",
+    ),
+    Bug(
+        "files of components that are not ours are met after the bake",
+        "adjoint_gi/bridge/baking/outputs.py",
+        '        if request.target == "texture":\n            places.append(',
+        '        if request.target == "components":\n            places.append(',
+        "tests/blender/test_bake.py -k files_of_others",
+    ),
+    Bug(
+        "lightmap UVs are renewed under a bake that runs",
+        "operators/bake.py",
+        "        return background.busy() or own\n",
+        "        return own\n",
+        "tests/blender/test_jobs.py -k not_renewed",
+    ),
 )
 
 

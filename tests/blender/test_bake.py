@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 import pytest
 from adjgi import solvers
-from adjgi.adjoint_gi.bridge.baking.bake import Bake, BakeRequest
+from adjgi.adjoint_gi.bridge.baking.bake import Bake, BakeRequest, preflight
 from adjgi.adjoint_gi.bridge.baking.report import of_bake
 from adjgi.adjoint_gi.bridge.cli import cornell as demo
 from adjgi.adjoint_gi.bridge.cli.arguments import DEMO_METHODS
@@ -74,6 +74,20 @@ def test_furnace_to_texture_has_the_closed_form_in_image_and_file(tmp_path):
     assert Path(made.files[2]).read_bytes().startswith(b"\x89PNG")
     assert made.written == [f"image {image.name}", *made.files]
     assert targets.link(room, "irradiance")["uv_layer"] in room.data.uv_layers
+
+
+def test_files_of_others_in_the_place_of_any_result_are_seen_before_the_bake(tmp_path):
+    furnace()
+    req = request(output=str(tmp_path), values={"samples": 1})
+    made, _ = finish(req)
+    assert len(made.files) == 3 and not [n for n in preflight(bpy.context, req) if n.severity == "error"], "ours are replaced"
+    for name in made.files:
+        path = Path(name)
+        ours = path.read_bytes()
+        path.write_bytes(b"of another program")
+        (error,) = [n for n in preflight(bpy.context, req) if n.severity == "error"]
+        assert error.object == name and "was not written by Adjoint GI" in error.reason
+        path.write_bytes(ours)
 
 
 @pytest.mark.parametrize("domain", ["POINT", "CORNER"])

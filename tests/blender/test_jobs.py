@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.bridge.baking import jobs
 from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
+from adjgi.adjoint_gi.bridge.baking.watch import Targets
 from adjgi.adjoint_gi.bridge.host import background
 from adjgi.adjoint_gi.bridge.props.request import BakeRequest
 from adjgi.adjoint_gi.core.base.errors import AdjointError, TargetError, WriteError
@@ -214,6 +215,16 @@ def test_changed_objects_get_nothing_and_the_result_is_kept_as_a_file(scene, cha
         assert result().applied and not job.bake.written[-1].partial
 
 
+def test_faces_that_are_turned_over_are_an_edit(scene):
+    """No vertex has moved, and no count has changed, but values of corners would go to others."""
+    square = bpy.data.objects["Square"]
+    targets = Targets([square])
+    assert not targets.problems()
+    square.data.flip_normals()
+    (problem,) = targets.problems()
+    assert problem.object == "Square" and "edited" in problem.reason
+
+
 def test_renaming_is_no_change(scene):
     job = start(steps=30, pause=0.005)
     bpy.data.objects["Square"].name = "Round"
@@ -391,6 +402,16 @@ def test_operators_stop_and_continue(scene):
     assert job.active
     ticks(lambda: not job.active)
     assert job.state == "finished"
+
+
+def test_uvs_are_not_renewed_under_a_bake_that_runs(scene):
+    """Its texels lie by the old ones."""
+    scene.adjoint_gi.target, scene.adjoint_gi.uv_layer = "texture", ""
+    assert bpy.ops.adjoint_gi.renew_uvs.poll()
+    start()
+    assert not bpy.ops.adjoint_gi.renew_uvs.poll()
+    BAKES.stop()
+    assert bpy.ops.adjoint_gi.renew_uvs.poll()
 
 
 def test_the_foreground_bake_does_the_same(scene):

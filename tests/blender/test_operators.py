@@ -134,6 +134,16 @@ def test_data_of_meshes_that_another_scene_shares_stays(scene):
     assert not bpy.data.images
 
 
+def test_attributes_of_meshes_that_another_scene_shares_stay(scene):
+    state = quick(scene, "path_tracing")
+    state.target = "attribute"
+    assert bpy.ops.adjoint_gi.bake() == {"FINISHED"}
+    floor = bpy.data.objects["Floor"].data
+    bpy.data.scenes.new("Attic").collection.objects.link(bpy.data.objects.new("Twin", floor))
+    assert bpy.ops.adjoint_gi.clear_results(remove=True) == {"FINISHED"}
+    assert state.attribute in floor.attributes and state.attribute not in bpy.data.objects["Ceiling"].data.attributes
+
+
 def test_nothing_is_removed_from_a_mesh_in_edit_mode(scene):
     quick(scene, "path_tracing").target = "texture"
     assert bpy.ops.adjoint_gi.bake() == {"FINISHED"}

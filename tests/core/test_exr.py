@@ -65,6 +65,18 @@ def test_a_file_of_others_is_never_replaced(tmp_path, content):
         assert (tmp_path / name).read_bytes() == content
 
 
+def test_a_file_that_others_put_there_meanwhile_is_not_replaced(tmp_path):
+    path = tmp_path / "a.txt"
+
+    def write(temporary):
+        temporary.write_bytes(b"ours")
+        path.write_bytes(b"theirs")
+
+    with pytest.raises(TargetError, match="not written by Adjoint GI"):
+        atomic.replace_file(path, tmp_path, write=write, verify=lambda _: True, ours=lambda _: False)
+    assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("a.txt", b"theirs")]
+
+
 def test_an_exr_of_another_program_is_never_replaced(tmp_path):
     import OpenEXR
 
