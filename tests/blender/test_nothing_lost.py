@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import json
 import os
@@ -108,6 +109,15 @@ def test_a_kept_result_reads_back(lit, tmp_path, monkeypatch):
     with np.load(kept.save(made.driver.solution()), allow_pickle=False) as found:
         np.testing.assert_array_equal(found["direct"], made.driver.solution().direct)
         assert json.loads(str(found["about"]))["method"] == "path_tracing"
+
+
+def test_a_kept_picture_has_its_normals_and_depths(lit, tmp_path, monkeypatch):
+    solution = baked(lit).driver.solution()
+    more = {"normal": np.ones((2, 3), np.float32), "light_names": np.array(["Lamp"], np.str_)}
+    monkeypatch.setattr(kept, "folder", lambda: tmp_path)
+    with np.load(kept.save(dataclasses.replace(solution, extra=more)), allow_pickle=False) as found:
+        assert set(found) == {"about", *kept.ARRAYS, *more}
+        assert all(np.array_equal(found[name], value) for name, value in more.items())
 
 
 @posix

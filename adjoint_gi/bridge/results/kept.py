@@ -19,7 +19,7 @@ from ...core.base.errors import WriteError
 from ...core.base.text import json_text
 from ...core.method.solution import Solution
 
-ARRAYS = ("emitted", "direct", "indirect", "albedo", "weight")
+ARRAYS = ("emitted", "direct", "indirect", "albedo", "weight")  # beside those of `Solution.extra`, under their own names
 
 
 def folder() -> Path:
@@ -56,20 +56,20 @@ def save(solution: Solution) -> str:
         "rays": int(solution.rays),
         "partial": solution.partial,
     }
-    arrays = {name: getattr(solution, name) for name in ARRAYS}
+    arrays = solution.extra | {name: getattr(solution, name) for name in ARRAYS}
 
     def write(temporary: Path) -> None:
         with open(temporary, "wb") as file:
             np.savez_compressed(file, about=np.array(json_text(about)), **arrays)
 
-    replace_file(path, place, write=write, verify=_is_whole, ours=lambda _: False)
+    replace_file(path, place, write=write, verify=lambda file: _is_whole(file, len(arrays) + 1), ours=lambda _: False)
     return str(path)
 
 
-def _is_whole(path: Path) -> bool:
-    """Whether all arrays read back; zip files hold a checksum of each."""
+def _is_whole(path: Path, count: int) -> bool:
+    """Whether all `count` arrays read back; zip files hold a checksum of each."""
     try:
         with zipfile.ZipFile(path) as file:
-            return file.testzip() is None and len(file.namelist()) == len(ARRAYS) + 1
+            return file.testzip() is None and len(file.namelist()) == count
     except zipfile.BadZipFile:
         return False
