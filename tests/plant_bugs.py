@@ -918,7 +918,7 @@ BUGS = (
     Bug(
         "small bodies turned inside out are baked inside",
         "adjoint_gi/core/flux/facing.py",
-        " | agreed | (all_back & (_volume(world) < 0))",
+        " | agreed | (all_back & (volume < 0))",
         "",
         "tests/methods/test_baked_sides.py -k small_body",
     ),
@@ -2185,8 +2185,8 @@ BUGS = (
     Bug(
         "each instance that cannot receive is found by making all of them again",
         "adjoint_gi/bridge/baking/bake.py",
-        '    refused.notices += [n for n in found if n.severity == "error"]\n',
-        '    refused.notices += [n for n in found if n.severity == "error"][:1]\n',
+        '    raise_all([n for n in found if n.severity == "error"], TargetError)\n',
+        '    raise_all([n for n in found if n.severity == "error"][:1], TargetError)\n',
         "tests/blender/test_bake_instances.py -k in_one_go",
     ),
     Bug(

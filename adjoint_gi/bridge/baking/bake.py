@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
-from ...core.base.errors import AdjointError, Notice, Refusals, SceneError, TargetError
+from ...core.base.errors import AdjointError, Notice, SceneError, TargetError, raise_all
 from ...core.flux.density import Given
 from ...core.method.driver import Driver
 from ...core.method.solution import Solution
@@ -237,9 +237,7 @@ def _first_step(driver: Driver) -> None:
 def _checked(real: Real, request: BakeRequest) -> list[Notice]:
     """What is said of the objects that were made; raises `TargetError` for one that cannot receive."""
     found = [n for obj in real.objects.values() for n in checker(request)(obj, request)]
-    refused = Refusals()
-    refused.notices += [n for n in found if n.severity == "error"]
-    refused.raise_all()
+    raise_all([n for n in found if n.severity == "error"], TargetError)
     return found
 
 

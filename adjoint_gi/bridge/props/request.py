@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from ...core.base.errors import AdjointError, Notice, SettingsError
+from ...core.base.errors import Notice, SettingsError, raise_all
 from ...core.base.settings import Settings
 from ...core.method import registry
 from ...core.method.registry import Solver
@@ -124,11 +124,7 @@ def fitting_quantity(solver: Solver, quantity: str) -> str:
 
 def raise_first(notices: list[Notice]) -> None:
     """Raise `AdjointError` for the first notice that is an error; it carries the other errors as `others`."""
-    errors = [n for n in notices if n.severity == "error"]
-    if errors:
-        error = AdjointError(errors[0].object, errors[0].reason, errors[0].remedy)
-        error.others = tuple(errors[1:])
-        raise error
+    raise_all([n for n in notices if n.severity == "error"])
 
 
 def _bounds(name: str, value: int, low: int, high: int) -> list[Notice]:

@@ -6,7 +6,7 @@ the name of the owner and the placement in an atlas. Names of datablocks are nev
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import bpy
@@ -70,14 +70,17 @@ def is_result(obj: bpy.types.Object) -> bool:
 
 def sharing(obj: bpy.types.Object) -> list[bpy.types.Object]:
     """The other objects that use the same mesh."""
-    if obj.data.users <= 1:
-        return []
-    return [other for other in bpy.data.objects if other.data == obj.data and other != obj]
+    return list(_sharing(obj))
 
 
 def shares(obj: bpy.types.Object) -> bool:
     """Whether another object uses the same mesh: of thousands that do, the first that is met answers."""
-    return obj.data.users > 1 and any(other.data == obj.data and other != obj for other in bpy.data.objects)
+    return next(_sharing(obj), None) is not None
+
+
+def _sharing(obj: bpy.types.Object) -> Iterator[bpy.types.Object]:
+    """`sharing`, one after another."""
+    return (other for other in bpy.data.objects if other.data == obj.data and other != obj) if obj.data.users > 1 else iter(())
 
 
 def link(obj: bpy.types.Object, key: str) -> Any | None:

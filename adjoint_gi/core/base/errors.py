@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from .text import printable
@@ -75,8 +75,13 @@ class Refusals:
 
     def raise_all(self) -> None:
         """Raise TargetError for the first, with the others."""
-        if self.notices:
-            first, *others = self.notices
-            error = TargetError(first.object, first.reason, first.remedy)
-            error.others = tuple(others)
-            raise error
+        raise_all(self.notices, TargetError)
+
+
+def raise_all(notices: Sequence[Notice], kind: type[AdjointError] = AdjointError) -> None:
+    """Raise `kind` for the first of `notices`, if there is one; it carries the rest as `others`."""
+    if notices:
+        first, *others = notices
+        error = kind(first.object, first.reason, first.remedy)
+        error.others = tuple(others)
+        raise error

@@ -38,11 +38,11 @@ def baked_sides(world: World, objects: Sequence[int]) -> BakedSides:
     if not len(objects):  # a picture bakes no side
         return BakedSides(None, ())
     seen, lit = _seen(world), openness.measure(world).sides
-    owner = world.scene.object
+    owner, volume = world.scene.object, _volume(world)
     # What is seen decides; where too little of it is known, what is lit.
-    back, known = _by_back(world, seen)
-    also, _ = _by_back(world, lit)
-    also &= ~_glows(world, lit)[owner]
+    back, known = _by_back(world, seen, volume)
+    also, _ = _by_back(world, lit, volume)
+    also &= ~_glows(world, lit, volume)[owner]
     back = np.where(known, back, also) & np.isin(owner, np.asarray(objects, np.int64))
     if not back.any():
         return BakedSides(None, ())
@@ -64,8 +64,9 @@ def _seen(world: World) -> np.ndarray:
     return _SEEN[world]
 
 
-def _by_back(world: World, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(nt,) bool: the back is met, and the front hardly; and (nt,) bool: enough arrived to tell. `sides` as of `_seen`.
+def _by_back(world: World, sides: np.ndarray, volume: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(nt,) bool: the back is met, and the front hardly; and (nt,) bool: enough arrived to tell. `sides` as of `_seen`, `volume` as of
+    `_volume`.
 
     Triangles with few arrivals follow their objects. Small objects have few as well: where all are at one side, a few are enough, and
     any where that is the outside of a body.
@@ -75,19 +76,19 @@ def _by_back(world: World, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     of_object, back_of_object = (np.bincount(owner, counts, objects) for counts in (total, sides[1]))
     all_back = (of_object > 0) & (back_of_object == of_object)
     agreed = (of_object >= ENOUGH) & (all_back | (back_of_object == 0))
-    told = (of_object >= MIN_ARRIVALS) | agreed | (all_back & (_volume(world) < 0))
+    told = (of_object >= MIN_ARRIVALS) | agreed | (all_back & (volume < 0))
     own = total >= ENOUGH
     known = own | told[owner]
     back = np.where(own, sides[1] >= DARK * total, (back_of_object >= DARK * of_object)[owner])
     return back & known, known
 
 
-def _glows(world: World, lit: np.ndarray) -> np.ndarray:
+def _glows(world: World, lit: np.ndarray, volume: np.ndarray) -> np.ndarray:
     """(objects,) bool: closed bodies that emit all over and are lit from outside, `lit` (2, nt). Their light within is for nobody."""
     scene = world.scene
     emits = np.array([any(lobe.kind == "emission" and not lobe.is_black for lobe in m.lobes) for m in scene.materials], bool)
     dark, fronts = (np.bincount(scene.object, x, len(scene.objects)) for x in (~emits[scene.material], lit[0]))
-    return (dark == 0) & (fronts > 0) & (_volume(world) > 0)
+    return (dark == 0) & (fronts > 0) & (volume > 0)
 
 
 def _volume(world: World) -> np.ndarray:
