@@ -1604,8 +1604,8 @@ BUGS = (
     Bug(
         "objects that are turned and scaled are unwrapped in another size",
         "adjoint_gi/bridge/results/faces.py",
-        "np.array(obj.matrix_world.to_3x3(), np.float64).T",
-        "np.array(obj.matrix_world.to_3x3(), np.float64)",
+        "self.positions.astype(np.float64) @ self.size.T",
+        "self.positions.astype(np.float64) @ self.size",
         "tests/blender/test_write_lightmap_uv.py -k as_large",
     ),
     Bug(
