@@ -123,6 +123,7 @@ def session():
     yield from baked()
     yield from balanced_and_shown()
     yield from rendered()
+    yield from compared()
     yield from quit_while_baking()
 
 
@@ -231,6 +232,33 @@ def rendered():
     yield 2 * PAUSE
     save_area("render_properties", area)
     area.ui_type = "VIEW_3D"
+    yield 3 * PAUSE
+    save_panel("panel_picture")
+
+
+def compared():
+    """Three methods compared at the pixels of the camera: their panel alone, as it starts closed and below all others."""
+    panels = importlib.import_module(f"{EXTENSION}.panels.view3d"), importlib.import_module(f"{EXTENSION}.panels.compare")
+    for owner in reversed(panels):
+        owner.unregister()
+    choice = panels[1].ADJOINTGI_PT_compare
+    kept = choice.bl_parent_id
+    del choice.bl_parent_id
+    choice.bl_options = set()
+    panels[1].register()
+    state = bpy.context.window_manager.windows[0].scene.adjoint_gi_compare
+    state.receivers, state.seconds, state.resolution = "camera", 2.0, 48
+    for name in (p.identifier for p in state.bl_rna.properties if p.identifier.startswith("use_")):
+        setattr(state, name, name in ("use_path_tracing", "use_distribution", "use_progressive_radiosity"))
+    operator("compare")
+    runs = module("adjoint_gi.bridge.comparison.job").COMPARISONS
+    yield from wait(lambda: not runs.running)
+    yield 8 * PAUSE
+    save_panel("panel_compared")
+    panels[1].unregister()
+    choice.bl_parent_id, choice.bl_options = kept, {"DEFAULT_CLOSED"}
+    for owner in panels:
+        owner.register()
     yield PAUSE
 
 

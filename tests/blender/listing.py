@@ -85,8 +85,9 @@ def empty(name, of, within=None):
     return linked(made, within)
 
 
-def nodes(host, obj=None, of=None, separate=False, scatter=False, by_modifier=False):
-    """Geometry nodes on `host` that show an object or a collection instead of its mesh, on its points with `scatter`."""
+def nodes(host, obj=None, of=None, separate=False, scatter=False, by_modifier=False, join=False):
+    """Geometry nodes on `host` that show an object, a collection or, without both, a square of their own instead of its mesh, on its
+    points with `scatter`; with `join` beside it."""
     tree = bpy.data.node_groups.new("nodes", "GeometryNodeTree")
     tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
     tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
@@ -95,6 +96,10 @@ def nodes(host, obj=None, of=None, separate=False, scatter=False, by_modifier=Fa
         info, value = tree.nodes.new("GeometryNodeObjectInfo"), obj
         info.inputs["As Instance"].default_value = True
         out, wanted, kind = info.outputs["Geometry"], info.inputs["Object"], "NodeSocketObject"
+    elif of is None:
+        info = tree.nodes.new("GeometryNodeMeshGrid")
+        info.inputs["Vertices X"].default_value = info.inputs["Vertices Y"].default_value = 2
+        out, by_modifier = info.outputs["Mesh"], None
     else:
         info, value = tree.nodes.new("GeometryNodeCollectionInfo"), of
         info.inputs["Separate Children"].default_value = separate
@@ -104,8 +109,16 @@ def nodes(host, obj=None, of=None, separate=False, scatter=False, by_modifier=Fa
         tree.links.new(start.outputs[0], place.inputs["Points"])
         tree.links.new(out, place.inputs["Instance"])
         out = place.outputs["Instances"]
+    if join:
+        both = tree.nodes.new("GeometryNodeJoinGeometry")
+        for part in (out, start.outputs[0]):
+            tree.links.new(part, both.inputs[0])
+        out = both.outputs[0]
     tree.links.new(out, end.inputs[0])
     modifier = host.modifiers.new("nodes", "NODES")
+    if by_modifier is None:
+        modifier.node_group = tree
+        return
     if not by_modifier:
         wanted.default_value = value
         modifier.node_group = tree

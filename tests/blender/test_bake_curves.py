@@ -267,19 +267,25 @@ def test_instances_of_a_text_are_instances():
 def test_a_curve_that_makes_instances_stays_where_only_it_is_baked(registered):
     """Hiding it would hide what it makes."""
     host = strip("Host")
-    nodes(host, obj=mesh(*SQUARE, name="leaf"), scatter=True)
-    tree = host.modifiers[0].node_group
-    join, end = tree.nodes.new("GeometryNodeJoinGeometry"), next(n for n in tree.nodes if n.type == "GROUP_OUTPUT")
-    last, start = end.inputs[0].links[0].from_socket, next(n for n in tree.nodes if n.type == "GROUP_INPUT")
-    tree.links.new(last, join.inputs[0])
-    tree.links.new(start.outputs[0], join.inputs[0])
-    tree.links.new(join.outputs[0], end.inputs[0])
+    nodes(host, obj=mesh(*SQUARE, name="leaf"), scatter=True, join=True)
     add_light("SUN", energy=SUN, angle=0.0, location=(0, 0, 9))
     bpy.context.view_layer.update()
     assert "Host" in baking.lightmaps(asked())
     bpy.context.scene.adjoint_gi.result.target, bpy.context.scene.adjoint_gi.result.quantity = "texture", "irradiance"
     results.show(bpy.context.scene)
     assert "Host" in visible() and "Host GI" not in visible()
+
+
+def test_what_nodes_of_a_curve_make_is_no_curve():
+    """Baked again and again the curve is one object; with Bake Instances each square of its nodes is another."""
+    nodes(strip("Host"), scatter=True, join=True)
+    add_light("SUN", energy=SUN, angle=0.0, location=(0, 0, 9))
+    bpy.context.view_layer.update()
+    for _ in range(2):
+        assert list(baking.lightmaps(asked())) == ["Host"] and len(real.objects_of(bpy.context.scene)) == 1
+    made = baking.lightmaps(asked(instances=True))
+    assert sorted(made) == ["Host", *(f"Host[Host.0.{k}.1]" for k in range(4))]
+    assert [len(o.data.polygons) for o in real.objects_of(bpy.context.scene) if not real.is_whole(o)] == [1] * 4
 
 
 def test_a_comparison_has_them_baked_by_cycles():

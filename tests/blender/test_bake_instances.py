@@ -75,7 +75,19 @@ def vertices():
     return {"leaf[host.0": 0.0, "leaf[host.1": 3.0}
 
 
-MADE = {"collections": (collections, 3), "on points": (on_points, 2), "nested": (nested, 2), "vertices": (vertices, 2)}
+def of_nodes():
+    """A mesh that nodes make, on the points of another one."""
+    nodes(points("host"), scatter=True)
+    return {"host[host.0": 0.0, "host[host.1": 3.0}
+
+
+MADE = {
+    "collections": (collections, 3),
+    "on points": (on_points, 2),
+    "nested": (nested, 2),
+    "vertices": (vertices, 2),
+    "of nodes": (of_nodes, 2),
+}
 
 
 def asked(**more):
@@ -114,6 +126,21 @@ def test_every_instance_is_baked_and_the_scene_holds_the_same_faces(kind):
     assert len({linked_image(o, "irradiance") for o in real.objects_of(bpy.context.scene)}) == count
     clear()
     assert user_data() == before
+
+
+def test_a_mesh_that_nodes_make_is_not_taken_for_that_of_its_maker():
+    """Two squares of 1 m and their maker, one of 2 m, each with its own faces and all of it told."""
+    host = mesh(*SQUARE, name="host")
+    nodes(host, scatter=True, join=True)
+    add_light("SUN", energy=SUN, angle=0.0, location=(0, 0, 9))
+    bpy.context.view_layer.update()
+    before = baking.bake(asked(instances=False))
+    assert "makes 4 instances of a mesh of its nodes, in the light but not baked" in [n.reason for n in before.notices]
+    made = baking.bake(asked())
+    sides = {o.name: max(o.dimensions) for o in real.objects_of(bpy.context.scene)}
+    assert sides.pop("host[host]") == pytest.approx(max(host.data.vertices[0].co[:2], key=abs) * -2, rel=1e-5)
+    assert sorted(sides) == [f"host[host.0.{k}]" for k in range(4)] and all(x == pytest.approx(1.0) for x in sides.values())
+    assert "makes 4 instances of a mesh of its nodes, baked as objects of their own" in [n.reason for n in made.notices]
 
 
 def test_one_in_the_sun_and_one_in_the_shade():

@@ -61,7 +61,7 @@ class AttributeWriter(Writer):
         values = solution.quantity(self.request.quantity)
         valid = (solution.weight > 0).astype(np.float32)
         depsgraph = bpy.context.evaluated_depsgraph_get()
-        datablocks = []
+        datablocks, followed = [], []
         for index in receiving(self.world.scene, self.request):
             obj = self.world.scene.objects[index]
             target = find_objects((obj.uid,), obj.source)[0]
@@ -75,8 +75,9 @@ class AttributeWriter(Writer):
             written.object.data[links.ABOUT] = json_text(self.metadata(solution))
             if written.taken is not None:
                 self.notices.append(written.taken)
-            preview.follow(written.object, self.request.quantity, written.attribute)
+            followed.append(written.object)
             datablocks.append(f"attribute {written.attribute} of {written.object.name}")
+        preview.follow(followed, self.request.quantity, attributes=True)
         return datablocks, []
 
     def _write_mesh(self, where: tuple, found: tuple[np.ndarray, np.ndarray], how: dict[str, Any]) -> WrittenAttribute:

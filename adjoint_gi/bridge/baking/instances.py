@@ -14,7 +14,7 @@ import bpy
 from mathutils import Matrix
 
 from ...core.base.errors import Notice, TargetError
-from ..extract.instances import InstanceWalk, determinant_of, is_flat
+from ..extract.instances import MADE_BY_NODES, InstanceWalk, determinant_of, is_flat
 from ..host.notices import Notices, listed
 from ..props.request import BakeRequest
 from ..results import links, preview, stored
@@ -29,7 +29,7 @@ SHEAR = 1e-5  # largest difference of a matrix, relative to its largest coeffici
 
 @dataclass(eq=False)
 class Asked:
-    """An instance that is asked for, or a `whole` object that is no mesh.
+    """An instance that is asked for, a `whole` object that is no mesh, or the `own` faces of what makes instances.
 
     `mesh` is our copy of its faces, which it may share with others.
     """
@@ -41,6 +41,7 @@ class Asked:
     mesh: bpy.types.Mesh | None
     materials: list[bpy.types.Material | None]
     whole: bool = False
+    own: bool = False
 
     @property
     def key(self) -> str | int:
@@ -52,7 +53,7 @@ class Asked:
         """What the object is called that is made of it."""
         if self.whole:
             return f"{self.name} GI"
-        return own_faces(self.name) if self.original == self.maker else self.name
+        return own_faces(self.name) if self.own else self.name
 
     @property
     def left_out(self) -> str:
@@ -152,14 +153,15 @@ class _Walk(InstanceWalk):
         self.run(depsgraph)
         for maker in {f.maker: None for f in self.found}:
             if maker in self._own:
-                self._add(*self._own[maker], maker.evaluated_get(depsgraph), maker, maker)
+                name, matrix = self._own[maker]
+                self._add(Asked(name, maker, maker, matrix, None, [], own=True), maker.evaluated_get(depsgraph))
 
     def notices(self) -> list[Notice]:
         """What becomes of the instances of each maker."""
         of: dict[str, list[str]] = {}
         for f in self.found:
-            if not f.whole and f.original != f.maker:
-                of.setdefault(f.maker.name, []).append(f.original.name)
+            if not f.whole and not f.own:
+                of.setdefault(f.maker.name, []).append(f.original.name if f.original != f.maker else MADE_BY_NODES)
         one, more = "makes 1 instance of {1}, baked as an object of its own", "makes {0} instances of {1}, baked as objects of their own"
         texts = {n: (one if len(s) == 1 else more).format(len(s), listed(list(dict.fromkeys(s)))) for n, s in of.items()}
         told = [Notice(n, text, "", "info") for n, text in texts.items()]
@@ -184,13 +186,12 @@ class _Walk(InstanceWalk):
             return
         error = reals.locked(maker)
         if error is None:
-            self._add(name, matrix, obj, original, maker)
+            self._add(Asked(name, original, maker, matrix, None, [], whole), obj)
         elif not whole:
             self._locked[maker.name] = error
 
-    def _add(self, name: str, matrix: Matrix, obj: bpy.types.Object, original: bpy.types.Object, maker: bpy.types.Object) -> None:
-        """Note one, with a copy of its mesh as it would be without what a bake has left on the original."""
-        asked = Asked(name, original, maker, matrix, None, [], original == maker and original.type != "MESH")
+    def _add(self, asked: Asked, obj: bpy.types.Object) -> None:
+        """Note one, with a copy of the mesh of `obj` as it would be without what a bake has left on the original."""
         if asked.left_out in self._request.left_out:
             return
         if len(self.found) >= MOST:
@@ -198,12 +199,16 @@ class _Walk(InstanceWalk):
             raise TargetError("Bake Instances", f"means more than {MOST:,} instances", remedy)
         key = obj.data.as_pointer()
         if key not in self.copies:
-            # Of a curve, evaluating again for all layers takes its data for a mesh and crashes Blender 4.2; what is there has all of them.
-            layers = {"preserve_all_data_layers": True, "depsgraph": self._depsgraph} if original.type == "MESH" else {}
-            mesh = bpy.data.meshes.new_from_object(obj, **layers)
-            self.copies[key] = _stripped(mesh, original)
+            self.copies[key] = _stripped(self._copied(obj, asked.original), asked.original)
         materials = [m and m.original for m in self.user_materials(obj, obj.data)]
         self.found.append(replace(asked, mesh=self.copies[key], materials=materials))
+
+    def _copied(self, obj: bpy.types.Object, original: bpy.types.Object) -> bpy.types.Mesh:
+        """A mesh as that of `obj`, with all of its layers: these have to be asked for, which evaluates the object again. What nodes have
+        made has them all, and evaluated again it would be another mesh: that of its maker; that of a curve crashes Blender 4.2."""
+        its_own = original.type == "MESH" and obj.data == original.evaluated_get(self._depsgraph).data
+        layers = {"preserve_all_data_layers": True, "depsgraph": self._depsgraph} if its_own else {}
+        return bpy.data.meshes.new_from_object(obj, **layers)
 
 
 def _stripped(mesh: bpy.types.Mesh, original: bpy.types.Object) -> bpy.types.Mesh:
@@ -306,6 +311,9 @@ def _shaped(f: Asked) -> tuple[bpy.types.Mesh, bool, Matrix, str]:
 
 
 def _set_materials(mesh: bpy.types.Mesh, materials: list[bpy.types.Material | None]) -> None:
+    """The slots of `mesh`, changed only where they differ: Blender looks through all objects for each slot that comes or goes."""
+    if list(mesh.materials) == materials:
+        return
     mesh.materials.clear()
     for material in materials:
         mesh.materials.append(material)

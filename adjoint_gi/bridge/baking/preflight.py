@@ -26,6 +26,7 @@ from ...core.walks import openness
 from ..extract.camera import NO_PICTURE, render_size
 from ..extract.depsgraph import extracting
 from ..extract.images import reading, return_images
+from ..extract.instances import MADE_BY_NODES
 from ..extract.scene_store import BYTES_A_TRIANGLE, SCENES
 from ..host import files
 from ..host.notices import Notices, listed
@@ -390,7 +391,7 @@ def _instances(arrays: SceneArrays, request: BakeRequest) -> list[Notice]:
     made: dict[str, list[str]] = {}
     for o in arrays.objects:
         if o.instance:
-            made.setdefault(o.maker, []).append(o.source)
+            made.setdefault(o.maker, []).append(o.source if o.source != o.maker else MADE_BY_NODES)
     reason = "makes {} instance{} of {}, in the light but not baked"
     remedy = "To bake them, turn on Bake Instances (--instances), or use Object > Apply > Make Instances Real"
     if request.instances:

@@ -218,7 +218,7 @@ class TextureWriter(Writer):
         made[links.ABOUT] = json_text(self.metadata(solution))
         for obj, layer in zip(objects, sheet.uv_layers, strict=True):
             links.link(obj, quantity)["uv_layer"] = layer  # in an atlas they may have other names
-            preview.follow(obj, quantity)
+        preview.follow(objects, quantity)
         if made != before and bpy.data.images.get(name, made) != made:
             self.notices.append(Notice(sheet.name, f'another image is called "{name}", so the result is in "{made.name}"', "", "info"))
         return made

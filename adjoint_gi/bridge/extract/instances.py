@@ -26,6 +26,7 @@ from .placed import Visit, Walked
 from .unsupported import name_rays, name_viewport
 from .visibility import NO_ID, Visibility
 
+MADE_BY_NODES = "a mesh of its nodes"  # what an instance is of whose mesh no object has: its source is its maker
 FACELESS = {"CAMERA", "LIGHT", "LIGHT_PROBE", "SPEAKER", "ARMATURE", "LATTICE"}
 
 
@@ -198,9 +199,11 @@ class InstanceWalk:
         name = original.name
         if inst.is_instance:
             parent = inst.parent.original if inst.parent else None
-            if not (parent is not None and parent.as_pointer() == original.as_pointer() and original.type != "MESH"):
-                ids = tuple(i for i in inst.persistent_id if i != NO_ID)
-                maker = parent.name if parent is not None else ""
+            path = tuple(i for i in inst.persistent_id if i != NO_ID)
+            # What is no mesh and has faces lists these as an instance of itself, the first of its parts; what its nodes make lies deeper.
+            own_faces = parent is not None and parent == original and original.type != "MESH" and len(path) == 1
+            if not own_faces:
+                ids, maker = path, parent.name if parent is not None else ""
                 name = f"{name}[{'.'.join([maker, *map(str, ids)])}]"
         unique = name
         count = 1

@@ -17,12 +17,12 @@ from ..host.meshes import material_slots
 from . import links as targets
 from . import stored
 from .attribute import linked_attribute
-from .preview_material import aim, make_material, remove_unused_group
+from .preview_material import make_material, place, remove_unused_group
 from .stored import ADDED, ORIGINAL, OURS, STATE
 
 
-def show(objects: Sequence[bpy.types.Object], key: str, *, attribute: str = "") -> None:
-    """Show the image linked for `key`, or the colour attribute `attribute`, on `objects`.
+def show(objects: Sequence[bpy.types.Object], key: str, *, attributes: bool = False) -> None:
+    """Show what is linked for `key` on `objects`: the image where there is one, else the colour attribute; with `attributes` always that.
 
     "irradiance", "direct" and "indirect" are multiplied by each material's base colour and divided by pi; "radiosity" and "emitted"
     are shown as they are, divided by pi: both are radiance then. Showing again replaces what is shown. Raises TargetError when an
@@ -33,8 +33,8 @@ def show(objects: Sequence[bpy.types.Object], key: str, *, attribute: str = "") 
     for obj in objects:
         targets.check_object(obj)
         entry = targets.link(obj, key)
-        name = attribute or linked_attribute(obj, key) or ""
-        if not attribute and entry is not None and entry.get("image") is not None:
+        name = linked_attribute(obj, key) or ""
+        if not attributes and entry is not None and entry.get("image") is not None:
             sources.append((obj, entry, ""))
         elif name and name in obj.data.color_attributes:
             sources.append((obj, None, name))
@@ -45,6 +45,7 @@ def show(objects: Sequence[bpy.types.Object], key: str, *, attribute: str = "") 
 
     # Step 2: the slots as the user has them.
     restore(objects)
+    made: dict[tuple, bpy.types.Material] = {}
     for obj, entry, name in sources:
         if not obj.material_slots:
             obj.data.materials.append(None)
@@ -52,48 +53,42 @@ def show(objects: Sequence[bpy.types.Object], key: str, *, attribute: str = "") 
         originals = [slot.material for slot in obj.material_slots]
         _remember(obj)
         obj[STATE]["key"] = key
-        # Step 3: ours in their place; two slots with the same material share one of ours.
-        made: dict[str, bpy.types.Material] = {}
+        # Step 3: ours in their place. Slots that would be shown alike share one: each new one makes Blender look through all others.
+        source = name if entry is None else place(entry)
         for slot, material in zip(obj.material_slots, originals, strict=True):
-            title = material.name_full if material else ""
-            if title not in made:
-                made[title] = make_material(obj, key, material, entry, name)
-                made[title][OURS] = True
+            alike = (material and material.session_uid, source)
+            if alike not in made:
+                made[alike] = make_material(key, material, entry, name)
+                made[alike][OURS] = True
                 if material is not None:
-                    made[title][ORIGINAL] = material
+                    made[alike][ORIGINAL] = material
             slot.link = "OBJECT"
-            slot.material = made[title]
+            slot.material = made[alike]
 
 
 def restore(objects: Sequence[bpy.types.Object]) -> int:
     """Put the user's materials back on `objects`; returns how many objects had a preview."""
-    count = 0
+    count, ours = 0, set()
     for obj in objects:
         state = stored.read(obj, STATE)
         if state is None:
             continue
         count += 1
-        ours = {material for _, material in _put_back(obj) if material is not None}
+        ours.update(material for _, material in _put_back(obj) if material is not None)
         del obj[STATE]
-        for material in ours:
-            if material.users == 0:
-                bpy.data.materials.remove(material)
         _drop_added_slot(obj)
+    # All at once: Blender looks through all that it has for each removal.
+    bpy.data.batch_remove([material for material in ours if material.users == 0])
     remove_unused_group()
     return count
 
 
-def follow(obj: bpy.types.Object, key: str, attribute: str = "") -> None:
-    """Where `obj` shows an image (or an attribute) for `key`, have it show its present one (or `attribute`).
-
-    A bake may have given it another image, UV layer, place in an atlas, or name.
-    """
-    state = stored.read(obj, STATE)
-    if state is None or state.get("key") != key:
-        return
-    entry = None if attribute else targets.link(obj, key)
-    for material in {s.material for s in obj.material_slots if s.material and stored.read(s.material, OURS)}:
-        aim(material, entry, attribute)
+def follow(objects: Sequence[bpy.types.Object], key: str, *, attributes: bool = False) -> None:
+    """Those of `objects` that show their result for `key` show what it is now: a bake may have given them another image, UV layer,
+    place in an atlas, or name."""
+    shown_now = [o for o in objects if (state := stored.read(o, STATE)) is not None and state.get("key") == key]
+    if shown_now:
+        show(shown_now, key, attributes=attributes)
 
 
 def shown(obj: bpy.types.Object) -> bool:

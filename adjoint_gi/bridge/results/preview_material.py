@@ -6,7 +6,6 @@ Transparency, glass and own emission stay as they are, so leaf cards keep their 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import bpy
@@ -25,16 +24,14 @@ SCATTERS_TOO = {"SUBSURFACE_SCATTERING", "EEVEE_SPECULAR"}
 NO_PLACE = (math.pi, 0.0, math.pi, 1.0)  # result where the lightmap has none, because the mesh has changed: magenta, as of a lost image
 
 
-def make_material(
-    obj: bpy.types.Object, key: str, material: bpy.types.Material | None, entry: Any | None, attribute: str
-) -> bpy.types.Material:
+def make_material(key: str, material: bpy.types.Material | None, entry: Any | None, attribute: str) -> bpy.types.Material:
     """A new material that shows the image of the stored link `entry`, or the colour `attribute`.
 
     It is a copy of `material` when that has nodes, so that textures keep working; the original is never touched.
     """
     quantity = key.split("[")[0]
     if material is None or not uses_nodes(material):
-        return _plain(material, material.name if material else obj.name, quantity, entry, attribute)
+        return _plain(material, quantity, entry, attribute)
     made = material.copy()
     made.name = f"{material.name} (GI)"
     made.use_fake_user = False
@@ -45,9 +42,9 @@ def make_material(
     return made
 
 
-def _plain(material: bpy.types.Material | None, name: str, quantity: str, entry: Any | None, attribute: str) -> bpy.types.Material:
+def _plain(material: bpy.types.Material | None, quantity: str, entry: Any | None, attribute: str) -> bpy.types.Material:
     """The same for a `material` without nodes, or for none."""
-    made = bpy.data.materials.new(f"{name} (GI)")
+    made = bpy.data.materials.new(f"{material.name if material else 'No Material'} (GI)")
     if made.node_tree is None:
         made.use_nodes = True  # before Blender 5.0 a new material has no nodes
     tree = made.node_tree
@@ -171,24 +168,6 @@ def _group_node(tree: bpy.types.NodeTree, result: bpy.types.NodeSocket) -> bpy.t
     return group
 
 
-def aim(material: bpy.types.Material, entry: Any | None, attribute: str) -> None:
-    """Have a material of ours show the image of the stored link `entry`, or the colour `attribute`, in place of one of the same kind."""
-    for tree in _trees(material.node_tree):
-        node = tree.nodes.get(RESULT)
-        if node is not None and node.type == "TEX_IMAGE" and entry is not None:
-            _aim_image(node, entry)
-        elif node is not None and node.type == "VERTEX_COLOR" and attribute:
-            node.layer_name = attribute
-
-
-def _trees(tree: bpy.types.NodeTree) -> Iterator[bpy.types.NodeTree]:
-    """`tree` and the copies of groups in it."""
-    yield tree
-    for node in tree.nodes:
-        if node.type == "GROUP" and node.node_tree is not None and stored.read(node.node_tree, stored.TREE) == COPY:
-            yield from _trees(node.node_tree)
-
-
 def preview_group() -> bpy.types.NodeTree:
     """Our node group Base Color x Result / pi -> Emission, made once for each file."""
     for tree in bpy.data.node_groups:
@@ -236,16 +215,17 @@ def _image(tree: bpy.types.NodeTree, entry: Any) -> bpy.types.NodeSocket:
     """Nodes that read the linked image; returns their colour socket."""
     nodes, links = tree.nodes, tree.links
     uv, mapping, texture = (nodes.new(f"ShaderNode{x}") for x in ("UVMap", "Mapping", "TexImage"))
-    texture.name, texture.extension = RESULT, "EXTEND"
+    texture.name, texture.extension, texture.image = RESULT, "EXTEND", entry["image"]
     links.new(uv.outputs["UV"], mapping.inputs["Vector"])
     links.new(mapping.outputs["Vector"], texture.inputs["Vector"])
-    _aim_image(texture, entry)
+    uv.uv_map, scale, offset = place(entry)[1:]
+    mapping.inputs["Scale"].default_value, mapping.inputs["Location"].default_value = (*scale, 1), (*offset, 0)
 
     # A carried layer whose mesh has changed lies left of the image.
-    place, left, choice = (nodes.new(f"ShaderNode{x}") for x in ("SeparateXYZ", "Math", "Mix"))
-    links.new(uv.outputs["UV"], place.inputs["Vector"])
+    axes, left, choice = (nodes.new(f"ShaderNode{x}") for x in ("SeparateXYZ", "Math", "Mix"))
+    links.new(uv.outputs["UV"], axes.inputs["Vector"])
     left.operation, left.inputs[1].default_value = "LESS_THAN", -0.5
-    links.new(place.outputs["X"], left.inputs[0])
+    links.new(axes.outputs["X"], left.inputs[0])
     choice.data_type = "RGBA"
     factor, own, lost = (next(s for s in choice.inputs if s.name == name and s.enabled) for name in ("Factor", "A", "B"))
     links.new(left.outputs["Value"], factor)
@@ -254,10 +234,6 @@ def _image(tree: bpy.types.NodeTree, entry: Any) -> bpy.types.NodeSocket:
     return next(s for s in choice.outputs if s.enabled)
 
 
-def _aim_image(texture: bpy.types.Node, entry: Any) -> None:
-    """Have `texture`, made by `_image`, show the image of the stored link `entry` where its object has its place in it."""
-    mapping = texture.inputs["Vector"].links[0].from_node
-    mapping.inputs["Vector"].links[0].from_node.uv_map = entry.get("uv_layer", "")
-    mapping.inputs["Scale"].default_value = (*entry.get("scale", (1, 1)), 1)
-    mapping.inputs["Location"].default_value = (*entry.get("offset", (0, 0)), 0)
-    texture.image = entry["image"]
+def place(entry: Any) -> tuple[int, str, tuple[float, ...], tuple[float, ...]]:
+    """The image of the stored link `entry` by its session_uid, its UV layer, and scale and offset of its object's place in it."""
+    return entry["image"].session_uid, entry.get("uv_layer", ""), tuple(entry.get("scale", (1, 1))), tuple(entry.get("offset", (0, 0)))

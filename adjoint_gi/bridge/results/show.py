@@ -60,11 +60,7 @@ def show(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer | None = None) 
     objects = holders(scene, record.quantity, record.target, record.new_object)
     if not objects:
         raise TargetError(scene.name, f"has no object with a baked {record.quantity or 'result'}", "Bake to a texture or attribute first")
-    if record.target == "texture":
-        preview.show(objects, record.quantity)
-    else:
-        for obj in objects:
-            preview.show([obj], record.quantity, attribute=linked_attribute(obj, record.quantity))
+    preview.show(objects, record.quantity, attributes=record.target != "texture")
     layer = view_layer or scene.view_layers[0]
     layer.update()  # so that it knows what was made last
     _show_instances(scene, layer, objects)
