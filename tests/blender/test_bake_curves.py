@@ -340,3 +340,23 @@ def test_damaged_properties_of_ours_count_as_absent():
     made_of()["Cable"][stored.REAL]["kind"] = 3
     baking.bake(asked())
     assert set(made_of()) == set(WHOLE)
+
+
+@pytest.mark.parametrize("hidden", (False, True))
+def test_a_copy_of_what_was_made_of_a_curve_is_the_users(hidden, registered):
+    """Once renders show it, it is baked with its own mesh; the curve keeps its object, and Clear Results takes only that."""
+    strip()
+    add_light("SUN", energy=SUN, angle=0.0)
+    ask = baking.request(resolution=16, values={"samples": 1})
+    baking.bake(ask)
+    (made,) = real.objects_of(bpy.context.scene)
+    copy = made.copy()
+    copy.data, copy.name, copy.location.y, copy.hide_render, copy.hide_viewport = made.data.copy(), "mine", 5.0, hidden, False
+    made.users_collection[0].objects.link(copy)
+    told = baking.bake(ask).notices
+    assert real.objects_of(bpy.context.scene) == [made]
+    assert hidden or linked_image(copy, "irradiance") not in (None, linked_image(made, "irradiance"))
+    assert not hidden or linked_image(copy, "irradiance") is None
+    assert [n.object for n in told if "on an object of its own" in n.reason] == ["Cable"]
+    remove_results(bpy.context.scene)
+    assert {o.name for o in bpy.data.objects if o.type == "MESH"} == {"mine"}

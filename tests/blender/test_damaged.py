@@ -46,10 +46,7 @@ def test_anything_under_the_names_of_our_properties_is_met(value, registered, tm
     bpy.data.node_groups.new("any", "ShaderNodeTree")
     for block in blocks():
         for name in stored.PROPERTIES:
-            if not (
-                name == stored.MADE and value and isinstance(value, int)
-            ):  # that is what a bake stores: a result, to which none is baked
-                block[name] = value
+            block[name] = value
     assert stored.damaged()
     request = baking.request(resolution=16, values={"samples": 1}, output=str(tmp_path))
     told = [n for n in preflight(bpy.context, request) if "counts as absent" in n.reason]
@@ -123,3 +120,64 @@ def test_a_saved_file_need_not_hold_what_blender_does_not_save(tmp_path):
         wanted.images = ["theirs"]
     bpy.context.scene["uses"] = bpy.data.images["theirs"]
     assert save_blend(tmp_path / "saved.blend") == str(tmp_path / "saved.blend")
+
+
+def baked_and_told(**options):
+    """Names of the objects that a bake gives lightmaps, and what it says as warnings, which the check before has said as well."""
+    request = baking.request(resolution=16, values={"samples": 1}, **options)
+    checked = rehearse(bpy.context, request)
+    made = baking.bake(request)
+    told = [[(n.object, n.reason) for n in notices if n.severity != "info"] for notices in (checked, made.notices)]
+    assert told[0] == told[1]
+    return {o.name for o in bpy.data.objects if image.linked_image(o, "irradiance") is not None}, dict(told[1])
+
+
+def result_and_copy():
+    """The object that holds the result of "floor", and a copy of it, made by the user and shown in renders."""
+    baking.bake(baking.request(target="attribute", new_object=True, values={"samples": 1}, objects=("floor",)))
+    made = attribute.result_object(bpy.data.objects["floor"])
+    copy = made.copy()
+    copy.data, copy.name, copy.location.z, copy.hide_render = made.data.copy(), "mine", 1.0, False
+    bpy.context.scene.collection.objects.link(copy)
+    return made, copy
+
+
+def test_a_copy_of_a_result_is_the_users(registered):
+    """It casts a shadow, so it is baked, stands beside the result in Show, can be chosen, and stays when results are cleared."""
+    floor()
+    made, copy = result_and_copy()
+    assert links.results() == {made}
+    assert baked_and_told() == ({"floor", "mine"}, {})
+    assert baked_and_told(objects=("mine",)) == ({"floor", "mine"}, {})
+    for o in bpy.context.view_layer.objects:
+        o.select_set(o in (made, copy))
+    assert show.selected(bpy.context.view_layer) == ("mine",)
+    bpy.context.scene.adjoint_gi.result.target, bpy.context.scene.adjoint_gi.result.quantity = "texture", "irradiance"
+    assert copy in show.holders(bpy.context.scene, "irradiance", "texture", False)
+    remove_results(bpy.context.scene)
+    assert {o.name for o in bpy.data.objects if o.type == "MESH"} == {"floor", "mine"}
+
+
+def test_a_result_without_its_original_is_the_users(registered):
+    obj = floor()
+    made, copy = result_and_copy()
+    bpy.data.objects.remove(copy)
+    bpy.data.objects.remove(obj)
+    made.hide_render = False
+    assert baked_and_told() == ({made.name}, {})
+
+
+def test_a_result_that_renders_show_is_in_the_light_and_said(registered):
+    floor()
+    made, copy = result_and_copy()
+    bpy.data.objects.remove(copy)
+    made.hide_render = False
+    baked, told = baked_and_told()
+    assert baked == {"floor"} and list(told) == [made.name] and 'hold the result of "floor": it is in the light' in told[made.name]
+
+
+@pytest.mark.parametrize("value", (True, 1, 5), ids=repr)
+def test_a_mark_alone_hides_no_object(value, registered):
+    floor()[stored.MADE] = value
+    baked, told = baked_and_told()
+    assert baked == {"floor"} and [k for k in told] == (["floor"] if value == 5 else [])

@@ -106,9 +106,9 @@ def resolve(context: bpy.types.Context, request: BakeRequest) -> tuple[BakeReque
         if scene.camera is None:
             notices.append(Notice("Camera", "the scene has no active camera", "Add a camera and make it active", "error"))
     else:
-        present = _by_name(context)
+        present, results = _by_name(context), targets.results()
         for name in request.objects:
-            notices += _named(context, name, present.get(name), request.instances)
+            notices += _named(context, name, present.get(name), request.instances, results)
         owners = [reals.surface_owner(present[name], scene).name for name in request.objects if name in present]
         request = replace(request, objects=tuple(dict.fromkeys(owners))) if len(owners) == len(request.objects) else request
         if not any(n.severity == "error" for n in notices):
@@ -175,7 +175,8 @@ def _with_faces(context: bpy.types.Context) -> list[bpy.types.Object]:
     depsgraph = context.evaluated_depsgraph_get()
     with unhidden(context.view_layer):
         shown = {i.object.original.session_uid for i in depsgraph.object_instances if not i.is_instance and i.object.type == "MESH"}
-    meshes = [o for o in context.view_layer.objects if o.type == "MESH" and not targets.is_result(o)]
+    results = targets.results()
+    meshes = [o for o in context.view_layer.objects if o.type == "MESH" and o not in results]
     objects = [o for o in meshes if o.session_uid in shown and not o.hide_render]
     # In edit mode the evaluated mesh shows no faces here, although the scene has them.
     return [o for o in objects if o.mode == "EDIT" or len(o.evaluated_get(depsgraph).data.polygons)]
@@ -209,7 +210,7 @@ def _of_objects(world: World, request: BakeRequest, receivers: list[int]) -> lis
     notices = refusals(notices, [n for n in request.objects if n not in present])
     notices += _meshless(arrays, request)
     if not request.objects:
-        notices += _instances(arrays, request)
+        notices += [*_instances(arrays, request), *_shown_results(arrays)]
     if not receivers and not made and not request.objects and not any(n.severity == "error" for n in notices):
         notices.append(_nothing_to_bake(arrays))
     return notices
@@ -260,7 +261,8 @@ def receiving(arrays: SceneArrays, request: BakeRequest) -> list[int]:
     """Indices of the objects that receive: no instances nor objects of other files. Of what is no mesh the bake makes an object."""
     if request.target == "render":
         return []
-    objects = {o.session_uid: o for o in bpy.data.objects if reals.is_real(o) or not targets.is_result(o)}
+    results = targets.results()
+    objects = {o.session_uid: o for o in bpy.data.objects if reals.is_real(o) or o not in results}
     own = [i for i, o in enumerate(arrays.objects) if not o.instance and o.uid in objects]
     if request.objects:
         wanted = set(request.objects)
@@ -342,8 +344,10 @@ def _by_name(context: bpy.types.Context) -> dict[str, bpy.types.Object]:
     return {obj.name: obj for obj in reversed(context.view_layer.objects.values())}
 
 
-def _named(context: bpy.types.Context, name: str, obj: bpy.types.Object | None, instances: bool) -> list[Notice]:
-    """Whether `obj`, called `name`, can be baked to at all, or with `instances` what it makes."""
+def _named(
+    context: bpy.types.Context, name: str, obj: bpy.types.Object | None, instances: bool, results: set[bpy.types.Object]
+) -> list[Notice]:
+    """Whether `obj`, called `name`, can be baked to at all, or with `instances` what it makes; `results` are those of bakes."""
     if obj is None:
         known = name in bpy.data.objects
         reason = "is not in this view layer, or its collection is excluded" if known else "does not exist"
@@ -355,7 +359,7 @@ def _named(context: bpy.types.Context, name: str, obj: bpy.types.Object | None, 
         return [Notice(name, f"is {reals.described(obj)}, not a mesh", "Choose a mesh, or what has faces when it is evaluated", "error")]
     if reals.may_become_mesh(obj) and reals.locked(obj) is not None:
         return [replace(reals.locked(obj).notice, severity="error")]
-    if targets.is_result(obj):
+    if obj in results:
         return [Notice(name, "was made by a bake to hold a result, so nothing is baked to it", "Bake the object it was made of", "error")]
     if obj.hide_render:
         return [Notice(name, "is hidden in render, so no light reaches it", "Enable it in renders", "error")]
@@ -398,6 +402,14 @@ def _instances(arrays: SceneArrays, request: BakeRequest) -> list[Notice]:
         reason, remedy = "makes {} instance{} of {}, which the bake makes objects of", ""
     texts = {maker: reason.format(len(of), "s" * (len(of) > 1), listed(list(dict.fromkeys(of)))) for maker, of in made.items()}
     return [Notice(maker, text, remedy, "info") for maker, text in texts.items()]
+
+
+def _shown_results(arrays: SceneArrays) -> list[Notice]:
+    """Objects that hold the result of another and are shown in renders all the same."""
+    of = {made.session_uid: obj for made, obj in targets.originals().items()}
+    reason = 'was made by a bake to hold the result of "{}": it is in the light, because it is shown in renders, but not baked'
+    shown = [o for o in arrays.objects if not o.instance and o.uid in of]
+    return [Notice(o.name, reason.format(of[o.uid].name), "Hide it in renders, or duplicate it and bake the copy") for o in shown]
 
 
 def _texture_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]:

@@ -53,8 +53,9 @@ class Visibility:
         """Notices for what is hidden in a render, and for what a render would show but this depsgraph, of the viewport, does not have."""
         if self._all:
             return
+        results = targets.results()
         for obj in depsgraph.view_layer.objects:
-            if (obj.type in INVISIBLE and obj.instance_collection is None) or targets.is_result(obj):
+            if (obj.type in INVISIBLE and obj.instance_collection is None) or obj in results:
                 continue
             if self._is_switched_off(obj):
                 if obj in self._instanced:

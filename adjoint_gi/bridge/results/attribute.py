@@ -20,7 +20,7 @@ from .stored import ADDED
 # Custom property of the mesh: key -> JSON list of our attributes, the one written last at the end. Each has the name that was wanted,
 # the name it has, and a checksum of what was written, by which it is found after the user has renamed it.
 STORED = stored.ATTRIBUTES
-OBJECT = "object"  # key of the link to the separate result object
+OBJECT = targets.OBJECT
 # Modifiers that move vertices or change data but never add, remove or reorder any.
 KEEPS_TOPOLOGY = {
     "ARMATURE",

@@ -12,10 +12,12 @@ from typing import Any
 import bpy
 
 from ...core.base.errors import TargetError
-from . import stored
+from . import real, stored
 from .stored import ABOUT, MADE, RESULTS
 
 __all__ = ["ABOUT", "MADE", "RESULTS"]
+
+OBJECT = "object"  # key of the link to the separate object that holds the result
 
 
 def check_object(obj: bpy.types.Object) -> None:
@@ -63,9 +65,22 @@ def missing(obj: bpy.types.Object) -> tuple[str, str]:
     return f'is left out: its library file is missing ("{library.filepath}")', "Put the file back, or relocate it in the outliner"
 
 
-def is_result(obj: bpy.types.Object) -> bool:
-    """Whether a bake has made `obj` to hold its result: then nothing is baked to it."""
-    return stored.read(obj, MADE) is not None
+def results() -> set[bpy.types.Object]:
+    """All objects that bakes have made to hold their results: nothing is baked to these.
+
+    One holds the result of the object that has a link to it, or was made of an instance or a curve. A mark alone makes no result: a copy
+    has that of its original, and is the user's.
+    """
+    marked = {o for o in bpy.data.objects if stored.read(o, MADE) is not None}
+    if not marked:
+        return marked
+    return {o for o in marked if real.is_real(o)} | (marked & set(originals()))
+
+
+def originals() -> dict[bpy.types.Object, bpy.types.Object]:
+    """By every object that holds the result of another, whose it is."""
+    entries = {o: link(o, OBJECT) for o in bpy.data.objects if RESULTS in o}
+    return {entry["made"]: o for o, entry in entries.items() if entry is not None and entry.get("made") is not None}
 
 
 def sharing(obj: bpy.types.Object) -> list[bpy.types.Object]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
 import bpy
 import numpy as np
@@ -26,13 +27,18 @@ WORDS = {"FONT": "text", "META": "metaball", "CURVES": "hair curves object", "PO
 
 
 def is_real(obj: bpy.types.Object) -> bool:
-    """Whether a bake has made `obj` of an instance, or of what is no mesh."""
-    return stored.read(obj, REAL) is not None
+    """Whether a bake has made `obj` of an instance, or of what is no mesh. One that renders show is the user's own, such as a copy."""
+    return _state(obj) is not None
+
+
+def _state(obj: bpy.types.Object) -> Any | None:
+    """The stored group of an object that stands for something: such objects are hidden in renders."""
+    return stored.read(obj, REAL) if obj.hide_render else None
 
 
 def is_whole(obj: bpy.types.Object) -> bool:
     """Whether a bake has made `obj` of a whole object that is no mesh."""
-    state = stored.read(obj, REAL)
+    state = _state(obj)
     return state is not None and bool(state.get("kind"))
 
 
@@ -43,7 +49,7 @@ def standing_for(obj: bpy.types.Object) -> bpy.types.Object:
 
 def maker_of(obj: bpy.types.Object) -> bpy.types.Object | None:
     """Who made the instance that `obj` stands for; None where it was deleted."""
-    state = stored.read(obj, REAL)
+    state = _state(obj)
     return state.get("maker") if state is not None else None
 
 
@@ -83,9 +89,10 @@ def collection_of(scene: bpy.types.Scene) -> bpy.types.Collection | None:
 
 
 def objects_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """All of them in `scene`."""
+    """All of them in `scene`. Of several for the same thing it is the first: the others are copies that the user made of it."""
     collection = collection_of(scene)
-    return [o for o in collection.objects if o.type == "MESH" and is_real(o)] if collection is not None else []
+    first = {key(o): o for o in reversed(collection.objects.values()) if o.type == "MESH" and is_real(o)} if collection is not None else {}
+    return list(reversed(first.values()))
 
 
 def of_makers(scene: bpy.types.Scene, names: Iterable[str]) -> list[bpy.types.Object]:
@@ -134,12 +141,12 @@ def may_make(obj: bpy.types.Object) -> bool:
 @contextlib.contextmanager
 def in_place(objects: Sequence[bpy.types.Object], view_layer: bpy.types.ViewLayer) -> Iterator[None]:
     """Those of `objects` that were made of whole objects stand for these in renders for a while, as for a bake by Cycles."""
-    whole = [o for o in objects if is_whole(o) and maker_of(o) is not None]
-    shown = [(o, o.hide_render, o.hide_viewport) for o in (*whole, *map(maker_of, whole))]
+    whole = {o: maker_of(o) for o in objects if is_whole(o) and maker_of(o) is not None}
+    shown = [(o, o.hide_render, o.hide_viewport) for o in (*whole, *whole.values())]
     try:
-        for obj in whole:
+        for obj, maker in whole.items():
             obj.hide_render = obj.hide_viewport = False
-            maker_of(obj).hide_render = True
+            maker.hide_render = True
         view_layer.update()
         yield
     finally:

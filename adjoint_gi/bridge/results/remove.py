@@ -18,15 +18,14 @@ def remove_results(scene: bpy.types.Scene) -> dict[str, int]:
     What another scene's objects use stays: images, and the attributes and UV layers of shared meshes. Raises TargetError for a mesh in
     edit mode; then nothing has changed. Materials must be the user's own: restore them first.
     """
-    objects = [
-        o for o in scene.objects if o.type == "MESH" and links.linked(o, False) is None and (real.is_real(o) or not links.is_result(o))
-    ]
+    made = links.results()
+    objects = [o for o in scene.objects if o.type == "MESH" and links.linked(o, False) is None and (real.is_real(o) or o not in made)]
     own = {o.session_uid for o in objects}
     changed = [o for o in objects if _has_layers(o) and {other.session_uid for other in links.sharing(o)} <= own]
     for obj in changed:
         links.check_mesh(obj)
     layered = [o for o in objects if o in changed or carried.carrier(o) is not None]
-    made = sum(result_object(o) is not None and remove_result_object(o) for o in objects)
+    removed = sum(result_object(o) is not None and remove_result_object(o) for o in objects)
     images = remove_images(objects)
     for obj in objects:
         links.forget(obj)
@@ -37,7 +36,7 @@ def remove_results(scene: bpy.types.Scene) -> dict[str, int]:
     instances = real.remove(scene)
     carried.drop_orphans()
     return {
-        "object": made + instances,
+        "object": removed + instances,
         "image": images,
         "attribute": attributes,
         "UV layer": layers,

@@ -24,22 +24,18 @@ from .stored import HIDDEN
 def holders(scene: bpy.types.Scene, quantity: str, target: str, new_object: bool = False) -> list[bpy.types.Object]:
     """The mesh objects of `scene` that hold a result for `quantity`: as a texture; as an attribute on objects made for it (`new_object`);
     or as an attribute on themselves, and where their mesh cannot hold one, on objects made for it."""
+    results = {o for o in targets.results() if not real.is_real(o)}  # second objects, each of which stands where its original does
     meshes = [o for o in scene.objects if o.type == "MESH"]
     if target == "texture":
-        return [o for o in meshes if not _is_made(o) and targets.link(o, quantity) is not None]
+        return [o for o in meshes if o not in results and targets.link(o, quantity) is not None]
     holding = [o for o in meshes if linked_attribute(o, quantity) is not None]
-    made = [o for o in holding if _is_made(o) or (new_object and real.is_whole(o))]
+    made = [o for o in holding if o in results or (new_object and real.is_whole(o))]
     if new_object:
         return made
-    own = [o for o in holding if not _is_made(o)]
-    instead = {o: result_object(o) for o in meshes if not _is_made(o) and result_object(o) in made}
+    own = [o for o in holding if o not in results]
+    instead = {o: result_object(o) for o in meshes if o not in results and result_object(o) in made}
     instead = {o: result for o, result in instead.items() if o not in own or not _can_hold(o)}
     return [o for o in own if o not in instead] + list(instead.values())
-
-
-def _is_made(obj: bpy.types.Object) -> bool:
-    """Whether it is the second object that stands where an original does. One for an instance is baked to like any other."""
-    return targets.is_result(obj) and not real.is_real(obj)
 
 
 def _can_hold(obj: bpy.types.Object) -> bool:
@@ -124,13 +120,15 @@ def selected(view_layer: bpy.types.ViewLayer, instances: bool = False) -> tuple[
         return stands_selected(obj)
 
     able = [o for o in view_layer.objects if o.type == "MESH" or real.may_become_mesh(o) or (instances and real.may_make(o))]
-    chosen = [o for o in able if not targets.is_result(o) and is_selected(o)]
+    results = targets.results()
+    chosen = [o for o in able if o not in results and is_selected(o)]
     return tuple(dict.fromkeys(real.surface_owner(o, view_layer.id_data).name for o in chosen))
 
 
 def nothing_selected(view_layer: bpy.types.ViewLayer) -> tuple[str, str]:
     """Reason and remedy for a selection in which there is nothing to bake."""
-    ours = [o for o in view_layer.objects.selected if targets.is_result(o)]
+    results = targets.results()
+    ours = [o for o in view_layer.objects.selected if o in results]
     if not ours:
         return "is on, but no mesh object is selected", "Select what to bake, or turn it off"
     made_of = [o.name for o in view_layer.objects if result_object(o) in ours]
@@ -182,12 +180,17 @@ def _hide(obj: bpy.types.Object, seen: bpy.types.Object, scene: bpy.types.Scene,
         return
     if obj.mode != "OBJECT" or not obj.is_editable:
         return
-    made, chosen = obj if _is_made(obj) else seen, obj.select_get(view_layer=layer)
+    made, chosen = _second(obj, seen), obj.select_get(view_layer=layer)
     obj[HIDDEN] = {"layer": layer.name, "made_selected": made.select_get(view_layer=layer)}
     obj[HIDDEN]["scene"], obj[HIDDEN]["seen"] = scene, seen
     obj.hide_set(True, view_layer=layer)
     if made == seen:
         seen.select_set(chosen, view_layer=layer)
+
+
+def _second(obj: bpy.types.Object, seen: bpy.types.Object | None) -> bpy.types.Object | None:
+    """Which of `obj` and what is `seen` in its place a bake has made for the other."""
+    return obj if seen is not None and result_object(seen) == obj else seen
 
 
 def _reveal(obj: bpy.types.Object) -> None:
@@ -199,7 +202,7 @@ def _reveal(obj: bpy.types.Object) -> None:
     del obj[HIDDEN]
     if seen is not None:
         _reveal(seen)  # it may have handed the selection on
-    made = obj if _is_made(obj) else seen
+    made = _second(obj, seen)
     for layer in layers:
         objects = {o.session_uid for o in layer.objects}
         if obj.session_uid not in objects:

@@ -105,7 +105,7 @@ def _is_text(value: Any) -> bool:
 
 def _is_on(value: Any) -> bool:
     """A switch: Blender hands out the integer 1 where True was stored by an old version."""
-    return isinstance(value, bool | int) and bool(value)
+    return isinstance(value, bool | int) and value == 1
 
 
 def _is_result(value: Any) -> bool:
