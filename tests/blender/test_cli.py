@@ -17,13 +17,16 @@ import bpy
 import numpy as np
 import pytest
 from adjgi import solvers
+from adjgi.adjoint_gi.bridge.cli import bake as cli_bake
 from adjgi.adjoint_gi.bridge.cli import cornell as demo
 from adjgi.adjoint_gi.bridge.cli import demo as cli_demo
 from adjgi.adjoint_gi.bridge.cli import main as cli
 from adjgi.adjoint_gi.bridge.cli import open as cli_open
 from adjgi.adjoint_gi.bridge.cli import progress as cli_progress
 from adjgi.adjoint_gi.bridge.cli.arguments import DEMO_METHODS
+from adjgi.adjoint_gi.bridge.host.background import notice_of
 from adjgi.adjoint_gi.bridge.results import kept
+from adjgi.adjoint_gi.bridge.results import show as results
 from adjgi.adjoint_gi.core.base.errors import TargetError, WriteError
 from adjgi.adjoint_gi.core.method import registry
 from adjgi.tests.exr_layers import read_exr
@@ -108,7 +111,7 @@ def test_bake_texture_writes_everything_and_a_report(tmp_path):
     assert code == 0, "our own files are replaced: " + err
 
 
-def test_bake_attribute_into_a_blend(tmp_path):
+def test_bake_attribute_into_a_blend(registered, tmp_path):
     box()
     target = tmp_path / "baked.blend"
     arguments = ("--method", "progressive_radiosity", "--target", "attribute", "--domain", "POINT", "--attribute", "Light")
@@ -120,8 +123,29 @@ def test_bake_attribute_into_a_blend(tmp_path):
         values = np.empty(4 * len(data), np.float32)
         data.foreach_get("color", values)
         assert values.reshape(-1, 4)[:, :3].max() > 0.1
+    record = bpy.context.scene.adjoint_gi.result
+    assert (record.method, record.target, record.applied) == ("progressive_radiosity", "attribute", True) and record.mean[0] > 0.0
+    assert results.show(bpy.context.scene) == 7, "the panel shows what the command line has baked"
     assert command("bake", *arguments, "--save-blend", target)[0] == 2, "an existing file is not replaced"
     assert command("bake", *arguments, "--save-blend", target, "--overwrite")[0] == 0
+
+
+def test_a_blend_that_cannot_be_saved_leaves_the_one_that_is_there(tmp_path, monkeypatch):
+    """A full disk shows in a file that Blender has written in part."""
+    box()
+    target = tmp_path / "baked.blend"
+    target.write_bytes(b"BLENDER of yesterday")
+
+    def cut(path):
+        path.unlink()
+        bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True)
+        with open(path, "r+b") as file:
+            file.truncate(4096)
+
+    monkeypatch.setattr(cli_bake, "_save_copy", cut)
+    with pytest.raises(WriteError, match="could not be written"):
+        cli_bake.save_blend(target)
+    assert target.read_bytes() == b"BLENDER of yesterday" and list(tmp_path.iterdir()) == [target]
 
 
 def test_lightmap_packed_into_a_blend(tmp_path):
@@ -286,7 +310,9 @@ def test_files_that_are_not_ours_are_found_before_the_bake(tmp_path, monkeypatch
     assert layers == [(o.name, len(o.data.uv_layers)) for o in bpy.data.objects if o.type == "MESH"]
 
 
-@pytest.mark.parametrize("error", [WriteError("disk", "is full", "Make room"), TargetError("it", "is not ours", "Move it")])
+@pytest.mark.parametrize(
+    "error", [WriteError("disk", "is full", "Make room"), TargetError("it", "is not ours", "Move it"), ValueError("on purpose")]
+)
 def test_failed_write_is_exit_code_1_and_keeps_the_result(tmp_path, monkeypatch, error):
     box()
 
@@ -296,11 +322,14 @@ def test_failed_write_is_exit_code_1_and_keeps_the_result(tmp_path, monkeypatch,
     monkeypatch.setattr("adjgi.adjoint_gi.bridge.baking.textures.write_exr", fail)
     monkeypatch.setattr(kept, "folder", lambda: tmp_path)
     code, out, err = command("bake", *SMALL, "--output", tmp_path / "out")
-    assert code == 1 and f"error: {error.notice}" in err and "wrote" not in out
+    assert code == 1 and f"error: {notice_of(error)}" in err and "wrote" not in out
     (file,) = tmp_path.glob("*.npz")
     assert f"Result: is kept in {file}" in err
     with np.load(file, allow_pickle=False) as found:
         assert (found["direct"] + found["indirect"]).max() > 0.01 and found["weight"].shape == (len(found["direct"]),)
+    if isinstance(error, ValueError):
+        assert "Traceback" in err, "what nobody thought of is to be reported"
+        return
     # The scene holds the images, so it is saved where that was asked for.
     target = tmp_path / "baked.blend"
     code, out, _ = command("bake", *SMALL, "--output", tmp_path / "out", "--save-blend", target)
@@ -381,6 +410,22 @@ def test_console_command_bakes_a_file(blend, tmp_path):
     out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     assert len(list((tmp_path / "out").iterdir())) == 3 and "finished: path_tracing to texture" in out
+
+
+@needs_wheel
+def test_console_command_knows_the_densities_of_a_file_and_notes_its_result(registered, blend, tmp_path):
+    """No extension is enabled there."""
+    bpy.data.objects["Floor"].adjoint_gi_density = 3.0
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    target, report = tmp_path / "baked.blend", tmp_path / "report.json"
+    words = ("--atlas", "--resolution", 64, "--texels-per-metre", 4, "--set", "samples=1", "--objects", "Floor", "Ceiling")
+    process = start("bake", blend, *words, "--save-blend", target, "--report", report)
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    given = {g["object"]: g["texels_per_metre"] for g in json.loads(report.read_text())["lightmaps"]}
+    assert given["Floor"] > 2.0 * given["Ceiling"]
+    bpy.ops.wm.open_mainfile(filepath=str(target))
+    assert bpy.context.scene.adjoint_gi.result.method == "path_tracing"
 
 
 @needs_wheel

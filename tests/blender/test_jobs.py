@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.bridge.baking import jobs
+from adjgi.adjoint_gi.bridge.baking.bake import Bake
 from adjgi.adjoint_gi.bridge.baking.jobs import BAKES
 from adjgi.adjoint_gi.bridge.baking.watch import Targets
 from adjgi.adjoint_gi.bridge.host import background
@@ -49,6 +50,8 @@ class FakeBake:
 
     def take_back(self):
         pass
+
+    remember = Bake.remember
 
     def write(self, solution):
         if FakeBake.refuse is not None:
@@ -247,6 +250,16 @@ def test_a_target_that_refuses_is_named(scene, tmp_path, monkeypatch):
 
 def full_disk(solution):
     raise WriteError("/tmp", "could not be written: the disk is full", "Free some space")
+
+
+def test_an_error_at_writing_that_nobody_thought_of_loses_nothing(scene, monkeypatch, tmp_path):
+    monkeypatch.setattr(jobs.kept, "folder", lambda: tmp_path)
+    job = start(steps=2)
+    FakeBake.refuse = ValueError("on purpose")
+    ticks(lambda: not job.active)
+    FakeBake.refuse = None
+    (file,) = tmp_path.glob("*.npz")
+    assert job.state == "finished" and result().files == str(file) and "ValueError: on purpose" in " ".join(map(str, job.notices))
 
 
 def test_a_result_that_no_disk_has_room_for_stays_in_memory(scene, monkeypatch):

@@ -77,6 +77,13 @@ def test_a_file_that_others_put_there_meanwhile_is_not_replaced(tmp_path):
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("a.txt", b"theirs")]
 
 
+def test_names_that_the_system_cannot_have_are_refused(tmp_path):
+    """As where file names are ASCII."""
+    with pytest.raises(WriteError, match="no such characters"):
+        atomic.replace_file(tmp_path / "a.txt", tmp_path, write=lambda _: "\u00fc".encode("ascii"), verify=bool, ours=bool)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_exr_of_another_program_is_never_replaced(tmp_path):
     import OpenEXR
 

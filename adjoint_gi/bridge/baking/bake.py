@@ -29,6 +29,7 @@ from ..extract.images import reading, return_images
 from ..extract.scene_store import SCENES
 from ..host import files
 from ..host.preparation import Aside, Stages, finish_stages, once
+from ..props import records
 from ..props.request import BakeRequest, raise_first
 from . import outputs
 from .attributes import AttributeWriter
@@ -96,6 +97,14 @@ class Bake:
         """What was made on the objects stays from now on, and what it has replaced goes."""
         self._undo.pop_all()
         self._real.settle()
+
+    def remember(
+        self, scene: bpy.types.Scene, solution: Solution, notices: Sequence[Notice], files: Sequence[str], applied: bool = True
+    ) -> None:
+        """Note on `scene` the numbers of `solution`, what is said of it, and where it is: in `files`, and if `applied` on its objects."""
+        what = {name: getattr(self.request, name) for name in ("target", "quantity", "new_object")}
+        said = dict.fromkeys([*notices, *solution.warnings])
+        records.store(scene.adjoint_gi.result, solution, **what, applied=applied, files=files, notices=said, given=self.given)
 
     def write(self, solution: Solution) -> list[str]:
         """Write `solution` where it was asked for and read it back; returns the names of datablocks and paths of files.

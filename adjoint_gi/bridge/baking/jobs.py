@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import time
+import traceback
 from pathlib import Path
 
 import bpy
@@ -14,7 +15,7 @@ from ...core.base.errors import AdjointError, MemoryRefused, Notice, SceneError
 from ...core.method.solution import Solution
 from ..host import background, preferences
 from ..host.prepared import PreparedJob
-from ..props import properties, records
+from ..props import properties
 from ..props.request import BakeRequest
 from ..results import kept
 from ..results.lightmap_uv import find_uv_layer
@@ -100,7 +101,9 @@ class BakeJob(PreparedJob):
             try:
                 self.bake.write(solution)
                 files = self.bake.files
-            except (AdjointError, OSError) as error:
+            except Exception as error:  # whatever it was: the work is not lost
+                if not isinstance(error, AdjointError | OSError):
+                    traceback.print_exc()
                 # Images are in the .blend file even where their files could not be written.
                 self.notices, applied = [background.notice_of(error)], bool(self.bake.written)
         complete, problems = not self.notices, list(self.notices)
@@ -112,10 +115,7 @@ class BakeJob(PreparedJob):
         if scene is not None:
             # Where a result is kept stands in the record's files already.
             problems = self.notices if applied else problems
-            notices = dict.fromkeys([*problems, *self.bake.notices, *solution.warnings])
-            record = scene.adjoint_gi.result
-            what = {name: getattr(self.request, name) for name in ("target", "quantity", "new_object")}
-            records.store(record, solution, **what, applied=applied, files=files, notices=notices, given=self.bake.given)
+            self.bake.remember(scene, solution, [*problems, *self.bake.notices], files, applied)
         if complete:
             self.solution = None
         if applied:

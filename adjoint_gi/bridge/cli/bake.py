@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import shutil
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,13 +21,14 @@ from ...core.method.solution import Solution
 from ..baking.bake import Bake, rehearse
 from ..baking.report import of_bake
 from ..host import files
+from ..host.background import notice_of
 from ..props.request import BakeRequest
 from ..results import kept, stored
 from ..results.stored import ABOUT
 from .arguments import DONE, FAILED, INTERRUPTED, request_of, use_threads
 from .open import open_scene
 from .progress import Progress, seconds_text
-from .streams import say, say_notices
+from .streams import say, say_notices, say_traceback
 
 
 def bake(options: argparse.Namespace) -> int:
@@ -112,8 +112,10 @@ def write_or_keep(made: Bake, solution: Solution, blend: str | None) -> bool:
     """`write`; where that fails, keep the result as a file. Both stand in the notices of `made`. Returns whether all of it was written."""
     try:
         write(made, solution, blend)
-    except AdjointError as error:
-        made.notices.append(error.notice)
+    except Exception as error:  # whatever it was: the work is not lost
+        if not isinstance(error, AdjointError | OSError):
+            say_traceback()
+        made.notices.append(notice_of(error))
         try:
             made.notices.append(Notice("Result", f"is kept in {kept.save(solution)}", "Read it with numpy.load", "warning"))
         except AdjointError as second:
@@ -133,6 +135,8 @@ def write(made: Bake, solution: Solution, blend: str | None) -> None:
     except AdjointError as error:
         problem = error
     if blend and (made.written or problem is None):
+        if hasattr(bpy.types.Scene, "adjoint_gi"):  # a script may call this without the extension
+            made.remember(bpy.context.scene, solution, [*([problem.notice] if problem else []), *made.notices], made.files)
         made.files.append(save_blend(files.absolute(blend)))
         made.written.append(made.files[-1])
     if blend or problem is None:
@@ -185,31 +189,36 @@ def require_blend(path: Path, overwrite: bool) -> None:
 
 
 def save_blend(path: Path) -> str:
-    """Save the open file as `path` and look into it for the results; raises `WriteError` when one is missing."""
+    """Save the open file as `path`, once a copy beside it was looked into for the results; raises `WriteError` when one is missing, and a
+    file that is there already stays then."""
     path = files.absolute(path)
+    missing: list[str] = []
+
+    def verify(copy: Path) -> bool:
+        missing[:] = _missing(copy)
+        return not missing
+
     try:
-        bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, check_existing=False)
-    except RuntimeError as error:
-        raise WriteError(str(path), f"could not be written ({str(error).strip()})", "Choose another folder") from None
-    try:
-        have = _inside(path)
-    except OSError as error:
-        raise WriteError(str(path), f"could not be read back ({error.strerror or error})", "Make room and try again") from None
-    for kind, names in have.items():
-        # Blender saves neither what nothing uses nor what belongs to another file.
-        kept = (block for block in getattr(bpy.data, kind) if block.users and block.library is None)
-        missing = {block.name for block in kept if stored.read(block, ABOUT) is not None} - names
+        replace_file(path, path.parent, write=_save_copy, verify=verify, ours=lambda _: True)
+    except WriteError:
         if missing:
-            raise WriteError(str(path), f"does not hold {', '.join(sorted(missing))}", "Check the disk and try again")
+            raise WriteError(str(path), f"does not hold {', '.join(missing)}", "Check the disk and try again") from None
+        raise
     return str(path)
 
 
-def _inside(path: Path) -> dict[str, set[str]]:
-    """Names of the images and meshes in a .blend file. A copy is looked into, because Blender does not look into the file that is open."""
-    with files.temporary_folder() as folder:
-        copy = shutil.copyfile(path, folder / "copy.blend")
-        with bpy.data.libraries.load(str(copy)) as (inside, _):
-            return {"images": set(inside.images), "meshes": set(inside.meshes)}
+def _save_copy(path: Path) -> None:
+    path.unlink()  # else Blender keeps it as an earlier version
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, check_existing=False)
+
+
+def _missing(path: Path) -> list[str]:
+    """Names of the results that a .blend file should hold and does not: Blender saves neither what nothing uses nor what belongs to
+    another file."""
+    with bpy.data.libraries.load(str(path)) as (inside, _):
+        held = {kind: set(getattr(inside, kind)) for kind in ("images", "meshes")}
+    wanted = ((kind, block) for kind in held for block in getattr(bpy.data, kind) if block.users and block.library is None)
+    return sorted(block.name for kind, block in wanted if stored.read(block, ABOUT) is not None and block.name not in held[kind])
 
 
 def write_report(path: str | Path, report: dict) -> Path:

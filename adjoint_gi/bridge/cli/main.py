@@ -19,6 +19,7 @@ import bpy
 from .... import solvers
 from ...core.base.errors import AdjointError, Notice, WriteError
 from ...core.method.driver import INTERRUPTS, answering
+from ..props import properties
 from . import bake as cli_bake
 from . import compare as cli_compare
 from . import demo as cli_demo
@@ -79,7 +80,11 @@ def _carry_out(arguments: Sequence[str], in_blender: bool) -> int:
 
 
 def console() -> None:
-    """Entry point of `adjoint-gi`; ends the process at once, for an interpreter with Blender inside may hang while it is taken apart."""
+    """Entry point of `adjoint-gi`, where no extension is enabled that would know what a file holds of ours: densities and a result.
+
+    Ends the process at once, for an interpreter with Blender inside may hang while it is taken apart.
+    """
+    properties.register()
     os._exit(main(sys.argv[1:], in_blender=False))
 
 

@@ -71,7 +71,8 @@ def output_folder(text: str, create: bool = True) -> Path:
     except OSError as error:
         raise WriteError(str(folder), f"cannot be made ({error.strerror or error})", "Choose another folder") from error
     if create:
-        remove_leftovers(folder)
+        for place in (folder, Path(tempfile.gettempdir())):
+            remove_leftovers(place)
         try:
             tempfile.TemporaryFile(dir=folder).close()
         except OSError as error:

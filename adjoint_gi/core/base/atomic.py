@@ -8,6 +8,7 @@ import os
 import re
 import secrets
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -49,7 +50,7 @@ def check_target(path: Path, folder: Path, ours: Callable[[Path], bool]) -> None
                 raise TargetError(name, "exists and is not a file", "Choose another name")
             if not ours(path):
                 raise TargetError(name, "exists and was not written by Adjoint GI, so it is not replaced", "Move it or choose another name")
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
         raise _write_error(name, error) from error
     except ValueError as error:  # folders on different drives
         raise TargetError(name, f"cannot be used as a path ({error})", "Choose another name") from error
@@ -80,12 +81,12 @@ def replace_file(
         # Step 4: put it in place; the check again, because writing took time.
         check_target(path, folder, ours)
         os.replace(temporary, path)
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
         raise _write_error(str(path), error) from error
     except RuntimeError as error:  # from the OpenEXR library
         raise WriteError(str(path), f"could not be written ({error})", "Check that the disk is not full and try again") from error
     finally:
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, UnicodeError):
             os.unlink(temporary)
     _flush_folder(path.parent)
     return path
@@ -123,7 +124,10 @@ def _flush_folder(folder: Path) -> None:
             os.close(handle)
 
 
-def _write_error(name: str, error: OSError) -> WriteError:
+def _write_error(name: str, error: OSError | UnicodeError) -> WriteError:
+    if isinstance(error, UnicodeError):
+        reason = f"file names have no such characters here ({sys.getfilesystemencoding()})"
+        return WriteError(name, f"could not be written: {reason}", "Set PYTHONUTF8 to 1, or give plain names")
     reason, remedy = REASONS.get(error.errno, (error.strerror or str(error), "Choose another folder"))
     return WriteError(name, f"could not be written: {reason}", remedy)
 
