@@ -60,3 +60,21 @@ def test_images_of_many_objects_follow_their_size_and_say_so():
     assert {got[f"Prop {k:02}"]["texels"] <= 32**2 for k in range(12, 24)} == {True}
     (said,) = [n for n in bake.notices if n.object == "Lightmaps"]
     assert "12 of 32, 12 of 64" in said.reason and said.severity == "info"
+
+
+@pytest.mark.parametrize("atlas", (False, True))
+def test_with_a_given_density_nothing_gets_more_and_what_does_not_fit_is_said(atlas, registered):
+    """A kerb of 100 m at 10 texels a metre in an image of 256: it has 2.56 along its length, and its neighbours have theirs."""
+    plane("House", 4)
+    plane("Small", 0.2, 1.0)
+    plane("Twice", 2, at=(9, 0))
+    plane("Kerb", 1, at=(0, 9))
+    kerb = bpy.data.objects["Kerb"]
+    kerb.scale, bpy.data.objects["Twice"].adjoint_gi_density = (100, 0.8, 1), 2.0
+    bpy.context.view_layer.update()
+    got, bake = given(resolution=256, atlas=atlas, texels_per_metre=10.0)
+    found = {name: row["texels_per_metre"] for name, row in got.items()}
+    assert found == pytest.approx({"House": 10, "Small": 10, "Twice": 20, "Kerb": (2.56 * 10) ** 0.5}, rel=0.03)
+    (said,) = [n for n in bake.notices if "fit into" in n.reason]
+    assert said.object == "Kerb" and said.severity == "warning" and "only 2.5" in said.reason and "not 10" in said.reason
+    assert not any("the others would get few" in n.reason for n in bake.notices)

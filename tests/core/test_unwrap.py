@@ -13,7 +13,7 @@ from adjgi.adjoint_gi.core.receivers.conformal import MAX_REGION_TRIANGLES, cut_
 from adjgi.adjoint_gi.core.receivers.projection import opened, pieces, project
 from adjgi.adjoint_gi.core.receivers.rasterize import row_blocks
 from adjgi.adjoint_gi.core.receivers.runs import UvTriangles
-from adjgi.adjoint_gi.core.receivers.unwrap import unwrap
+from adjgi.adjoint_gi.core.receivers.unwrap import projecting, unwrap
 from adjgi.adjoint_gi.core.receivers.uv_check import check
 from adjgi.tests.scenes import icosphere
 
@@ -25,13 +25,20 @@ def test_a_long_face_shrinks_no_other():
         return Mesh(np.array([[0, 0, 0], [x, 0, 0], [x, y, 0], [0, y, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]]), np.zeros(2, np.int64))
 
     meshes = [sheet(200.0, 0.3), sheet(6.0, 3.0)]
+    # With a limit, the image is not filled, and only what is longer than the image at that scale is squeezed: to its whole length.
+    for projected in (False, True):
+        steps = projecting(meshes, 256, (2,), "asked", np.ones(2), True, 8.0)
+        capped = finish(steps) if projected else unwrap(meshes, 256, (2,), most=8.0)
+        size = [np.sort(np.ptp(uv.reshape(-1, 2), axis=0)) * 256 for uv in capped.uvs]
+        assert capped.texels_per_metre == pytest.approx(8.0) and size[1] == pytest.approx([24, 48], abs=0.5)
+        assert size[0] == pytest.approx([2.4, 256], rel=0.03) and capped.length == pytest.approx([256 / 8 / 200, 1], rel=0.02)
     found, plain = (unwrap(meshes, 256, (2,), squeeze=squeeze) for squeeze in (True, False))
     size = [np.ptp(uv.reshape(-1, 2), axis=0) * 256 for uv in found.uvs]
-    assert found.squeezed.tolist() == [True, False] and not plain.squeezed.any() and plain.texels_per_metre < 1.3
+    assert (found.length < 1).tolist() == [True, False] and (plain.length == 1).all() and plain.texels_per_metre < 1.3
     assert found.texels_per_metre > 19 and np.sort(size[1]) == pytest.approx(found.texels_per_metre * np.array([3, 6]), rel=0.05)
     assert size[0].max() > 100 and size[0].min() == pytest.approx(0.3 * found.texels_per_metre, rel=0.25)
     # Where its length is no great loss to others, nothing is squeezed.
-    assert not unwrap([sheet(7.0, 3.0)], 256, (2,)).squeezed.any()
+    assert (unwrap([sheet(7.0, 3.0)], 256, (2,)).length == 1).all()
 
 
 @pytest.mark.parametrize("faces", (10, 200))
@@ -51,7 +58,7 @@ def test_a_long_chart_of_several_faces_is_cut(faces):
     density = np.sqrt(flat / np.linalg.norm(area_vectors(m.corners()), axis=1))
     even = np.sqrt(0.6 * 512**2 / 78)  # of all 78 m2 alike
     assert not found.projected and density[-1] > 0.9 * even
-    assert found.squeezed[0] == (faces == 10) and (faces == 10 or density[0] > 0.9 * even)
+    assert (found.length[0] < 1) == (faces == 10) and (faces == 10 or density[0] > 0.9 * even)
 
 
 def mesh(vertices, triangles, polygon=None):

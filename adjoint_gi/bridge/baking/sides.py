@@ -62,16 +62,26 @@ def unwrapping_to_density(
     found = yield from _unwrapping(names, faces, side, density)
     if not 1 / CLOSE < found.texels_per_metre / wanted < CLOSE:
         better = _bounded(side * wanted / found.texels_per_metre, request.resolution)
-        if better != side:
-            side, found = better, (yield from _unwrapping(names, faces, better, density))
+        if better != side or found.texels_per_metre > wanted:
+            side, found = better, (yield from _unwrapping(names, faces, better, density, most=wanted))
     if found.texels_per_metre * CLOSE < wanted:
         # The length of a few faces may be what keeps it from fitting.
-        found = yield from _unwrapping(names, faces, side, density, squeeze=True)
-    notices = []
+        found = yield from _unwrapping(names, faces, side, density, squeeze=True, most=wanted)
+    return found, side, _too_few(names, density, found, wanted, side)
+
+
+def _too_few(names: Sequence[str], density: np.ndarray, found: Unwrapped, wanted: float, side: int) -> list[Notice]:
+    """What there is to say where objects have fewer texels a metre than are `wanted`: all of them, or some along their lengths."""
+    told, remedy = [], "Raise the resolution, or ask for fewer"
     if found.texels_per_metre * CLOSE < wanted:
         reason = f"only {found.texels_per_metre:.3g} texels a metre fit into {side} x {side}, not {wanted:.3g}"
-        notices.append(Notice(", ".join(names[:8]), reason, "Raise the resolution, or ask for fewer"))
-    return found, side, notices
+        told.append(Notice(", ".join(names[:8]), reason, remedy))
+    reason = f"has faces so long that only {{:.3g}} texels a metre fit into {side} x {side} along their length, not {{:.3g}}"
+    for name, factor, share in zip(names, density, found.length, strict=True):
+        if share * CLOSE < 1.0:
+            text = reason.format(share * found.texels_per_metre * factor, wanted * factor)
+            told.append(Notice(name, text, f"{remedy}, or cut long faces into shorter ones"))
+    return told
 
 
 def note(objects: Sequence[bpy.types.Object], request: BakeRequest, side: int) -> None:
@@ -99,10 +109,10 @@ def side_of(obj: bpy.types.Object, request: BakeRequest, side: int) -> int:
 
 
 def _unwrapping(
-    names: Sequence[str], faces: Sequence[MeshFaces], side: int, density: np.ndarray, squeeze: bool = False
+    names: Sequence[str], faces: Sequence[MeshFaces], side: int, density: np.ndarray, squeeze: bool = False, most: float = np.inf
 ) -> Steps[Unwrapped]:
     try:
-        return (yield from unwrapping([face.mesh for face in faces], side, paddings(side), density, squeeze))
+        return (yield from unwrapping([face.mesh for face in faces], side, paddings(side), density, squeeze, most))
     except TargetError as error:
         raise TargetError(listed(list(names)), error.notice.reason, error.notice.remedy) from error
 

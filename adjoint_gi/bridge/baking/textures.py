@@ -366,7 +366,7 @@ def _write_layers(plans: list[UvPlan], unwrapped: list[Made], request: BakeReque
             with refused.each():
                 restoring.append(write_plan(plan, new.unwrapped, new.uvs))
                 note(plan.objects, request, new.side)
-                made.notices += [*notices(plan.objects, new.unwrapped), *new.notices]
+                made.notices += [*notices(plan.objects, new.unwrapped, bool(request.texels_per_metre)), *new.notices]
         refused.raise_all()
     except AdjointError:
         made.undo.close()

@@ -243,9 +243,9 @@ def check_uv_layer(obj: bpy.types.Object, name: str, depsgraph: bpy.types.Depsgr
     return ()
 
 
-def notices(objects: Sequence[bpy.types.Object], unwrapped: Unwrapped) -> list[Notice]:
-    """What the user should know of how it was unwrapped."""
-    long = [obj for obj, squeezed in zip(objects, unwrapped.squeezed, strict=True) if squeezed]
+def notices(objects: Sequence[bpy.types.Object], unwrapped: Unwrapped, long_told: bool = False) -> list[Notice]:
+    """What the user should know of how it was unwrapped; not of long faces where that is `long_told` already."""
+    long = [obj for obj, length in zip(objects, unwrapped.length, strict=True) if length < 1.0 and not long_told]
     told = []
     if long:
         reason = "has faces so long that they get fewer texels along their length, or the others would get few as well"

@@ -106,8 +106,9 @@ def _from_inside(world: World, count: int, rng: np.random.Generator) -> Particle
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """What an object got of an image: texels, texels a metre along an edge, its share of the texels that are covered, and its weight,
-    which is its texels a metre beside those of the densest object in the image."""
+    """What an object got of an image: texels, texels a metre, its share of the texels that are covered, and its weight, which is its
+    texels a metre beside those of the densest object in the image. They are the root of its texels over its area: as many as along an
+    edge, and the mean of length and width where long faces have fewer along their length."""
 
     object: str
     texels: int

@@ -97,16 +97,20 @@ def parted(mesh: Mesh, charts: Charts, side: float) -> Charts:
     return Charts(charts.xy, islands(mesh, charts.xy, numbered(charts.chart * (int(part.max()) + 1) + part)))
 
 
-def shortened(charts: Charts, side: float, full: float) -> tuple[Charts, np.ndarray]:
+def shortened(charts: Charts, side: float, full: float, scale: float = np.inf) -> tuple[Charts, np.ndarray]:
     """`charts` with those squeezed along their lengths that are more than LONG times as long as there is room for, which is the side of
-    an image of `side` texels of which all together cover the share `full`; and (count,) bool which. One would make all others small.
+    an image of `side` texels of which all together cover the share `full`; one would make all others small. Where they cover less than
+    that at `scale` texels a metre, the most that they may have, there is room for the side of an image at that scale, and no more.
+
+    Also (count,) float64 the share of its length that each has left, 1 where it is as it was.
     """
-    xy, long = charts.xy.copy(), np.zeros(charts.count, bool)
+    xy, left = charts.xy.copy(), np.ones(charts.count)
     for _ in range(charts.count):
         # Step 1: the longest that an image has room for, m. Each round finds more, as the others grow by what those leave.
-        most = room(Charts(xy, charts.chart), full)
+        filled = room(Charts(xy, charts.chart), full)
+        most, too = (filled, LONG) if filled > side / scale else (side / scale, 1.0)
         low, high = Charts(xy, charts.chart).bounds()
-        more = np.flatnonzero((high - low).max(axis=1) > most * LONG)
+        more = np.flatnonzero((high - low).max(axis=1) > most * too)
         if not len(more):
             break
         for chart in more:
@@ -121,10 +125,10 @@ def shortened(charts: Charts, side: float, full: float) -> tuple[Charts, np.ndar
             turned = ways[np.argmin(np.prod(np.ptp(ways, axis=1), axis=1))]
             # Step 3: only as wide as before, and as long as there is room.
             size = np.ptp(turned, axis=0)
-            turned *= np.minimum(1.0, (1 - 1 / side) * most / np.maximum(size, 1e-300))
-            xy[own] = turned.reshape(-1, 3, 2)
-        long[more] = True
-    return Charts(xy, charts.chart), long
+            share = np.minimum(1.0, (1 - 2 / side) * most / np.maximum(size, 1e-300))
+            xy[own] = (turned * share).reshape(-1, 3, 2)
+            left[chart] *= share.min()
+    return Charts(xy, charts.chart), left
 
 
 def numbered(labels: np.ndarray) -> np.ndarray:

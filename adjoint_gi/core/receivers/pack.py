@@ -48,17 +48,19 @@ def shelves(size: np.ndarray, width: int, height: int, gap: int) -> np.ndarray |
     return place
 
 
-def pack_charts(extent: np.ndarray, resolution: tuple[int, int], gap: int, least: int = 2) -> tuple[np.ndarray, np.ndarray, float]:
+def pack_charts(
+    extent: np.ndarray, resolution: tuple[int, int], gap: int, least: int = 2, most: float = np.inf
+) -> tuple[np.ndarray, np.ndarray, float]:
     """Lower left corner (n, 2) and size (n, 2) in texels, float64, for charts of `extent` (n, 2) metres, and the texels a metre.
 
-    All charts have the same scale, except that none is smaller than `least` texels (1 where that does not fit), so that each one
-    gets a texel. Charts start at whole texels; `gap` texels stay free between them. Raises TargetError when there are too many.
+    All charts have the same scale, `most` at most, except that none is smaller than `least` texels (1 where that does not fit), so that
+    each one gets a texel. Charts start at whole texels; `gap` texels stay free between them. Raises TargetError when there are too many.
     """
     width, height = resolution
     border = min(gap // 2, (min(resolution) - 1) // 4)
     inner = width - 2 * border, height - 2 * border
     top = float(np.sqrt(inner[0] * inner[1] / max(float((extent[:, 0] * extent[:, 1]).sum()), 1e-30)))
-    top = min(top, max(inner) / max(float(extent.max(initial=0)), 1e-30))
+    top = min(top, max(inner) / max(float(extent.max(initial=0)), 1e-30), most)
     for smallest in dict.fromkeys((least, 1)):
         best, low, high = None, 0.0, top
         for step in range(STEPS):
@@ -92,53 +94,54 @@ def place_objects(area: Mapping[int, float], resolution: tuple[int, int], gap: i
     return out
 
 
-def pack_on_shelves(charts: Charts, resolution: int, gap: int) -> tuple[np.ndarray, float]:
-    """UV (nt, 3, 2) float32 of `charts` packed as rectangles with `gap` texels between them, and the texels a metre.
+def pack_on_shelves(charts: Charts, resolution: int, gap: int, most: float = np.inf) -> tuple[np.ndarray, float]:
+    """UV (nt, 3, 2) float32 of `charts` packed as rectangles with `gap` texels between them, and the texels a metre, `most` at most.
 
     Raises TargetError when there are too many.
     """
     low, high = charts.bounds()
     extent = high - low
-    place, size, scale = pack_charts(extent, (resolution, resolution), gap)
+    place, size, scale = pack_charts(extent, (resolution, resolution), gap, most=most)
     stretch = np.where(extent > 1e-30, size / np.maximum(extent, 1e-30), 0.0)
     texel = (charts.xy - low[charts.chart][:, None]) * stretch[charts.chart][:, None] + place[charts.chart][:, None]
     return (texel / resolution).astype(np.float32), scale
 
 
-def pack_tightly(charts: Charts, resolution: int, gap: int) -> tuple[np.ndarray, float]:
+def pack_tightly(charts: Charts, resolution: int, gap: int, most: float = np.inf) -> tuple[np.ndarray, float]:
     """UV (nt, 3, 2) float32 of `charts` packed by their shapes with `gap` texels or more between them, and the texels a metre.
 
     All charts are scaled alike, but for parts of a texel up to whole ones. xatlas takes a scale and fills as many images as that needs,
-    so the largest scale that needs one image is searched for, above that of shelves. Raises TargetError when there are too many charts.
+    so the largest scale that needs one image, `most` at most, is searched for, above that of shelves. Raises TargetError when there are
+    too many charts.
     """
-    best, fits = pack_on_shelves(charts, resolution, gap)
+    best, fits = pack_on_shelves(charts, resolution, gap, most)
     if charts.count * SMALL > FULL * resolution**2:
         return best, fits
     low, high = charts.bounds()
     full = resolution / max(float(np.abs(signed_areas(charts.xy)).sum()), 1e-300) ** 0.5
     # Above the second of these xatlas would shrink the largest chart alone.
-    limit, most = min(full, (resolution - 1.5) / max(float((high - low).max()), 1e-300)), np.inf
+    limit, failed = min(full, (resolution - 1.5) / max(float((high - low).max()), 1e-300), most), np.inf
     scale = min(limit, max(FULL**0.5 * full, GROWTH * fits))
     while scale > CLOSE * fits:
         uv = _packed(charts, scale, resolution, gap)
         if uv is None:
-            most = scale
+            failed = scale
         else:
             best, fits = uv, scale
-        scale = min(limit, GROWTH * fits) if np.isinf(most) else (fits * most) ** 0.5
+        scale = min(limit, GROWTH * fits) if np.isinf(failed) else (fits * failed) ** 0.5
     return best, fits
 
 
-def pack_again(charts: Charts, resolution: int, gap: int, scale: float) -> tuple[np.ndarray, float]:
+def pack_again(charts: Charts, resolution: int, gap: int, scale: float, most: float = np.inf) -> tuple[np.ndarray, float]:
     """The same for charts that are much like some that were packed at `scale` texels a metre: there, or a little below."""
-    best, fits = pack_on_shelves(charts, resolution, gap)
+    best, fits = pack_on_shelves(charts, resolution, gap, most)
     if fits * CLOSE > scale:
         return best, fits
     for step in range(AGAIN):
         uv = _packed(charts, scale / CLOSE**step, resolution, gap)
         if uv is not None:
             return uv, scale / CLOSE**step
-    return pack_tightly(charts, resolution, gap)
+    return pack_tightly(charts, resolution, gap, most)
 
 
 def _packed(charts: Charts, scale: float, resolution: int, gap: int) -> np.ndarray | None:

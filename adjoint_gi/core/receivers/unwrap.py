@@ -32,7 +32,8 @@ class Unwrapped:
     texels_per_metre scale of all charts of density 1, in an image of the resolution that was asked for
     padding          texels that are free between charts
     charts           number of charts
-    squeezed         (n,) bool meshes with charts so long that they have fewer texels along their lengths than the others
+    length           (n,) float64 share of its density that each mesh has along the length of a chart at least: below 1 where one is so
+                     long that it has fewer texels along its length than the others
     covered          share of the texels that are covered
     projected        why the charts are our own projections; empty where they are those of xatlas
     """
@@ -41,25 +42,36 @@ class Unwrapped:
     texels_per_metre: float
     padding: int
     charts: int
-    squeezed: np.ndarray
+    length: np.ndarray
     covered: float
     projected: str
 
 
 def unwrap(
-    meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], density: np.ndarray | None = None, squeeze: bool = True
+    meshes: Sequence[Mesh],
+    resolution: int,
+    paddings: Sequence[int],
+    density: np.ndarray | None = None,
+    squeeze: bool = True,
+    most: float = np.inf,
 ) -> Unwrapped:
     """Unwrap `meshes` into one square image of `resolution` texels, with the first of `paddings` (texels between charts) that fits.
 
     density (n,) float64: how large the charts of each mesh are beside those of the others, along an edge; all alike where it is None.
     squeeze: whether charts of great length may get fewer texels along it, so that the others do not.
+    most: texels a metre that charts of density 1 have at most; then the image is not filled.
     Raises TargetError when there are more charts than fit.
     """
-    return finish(unwrapping(meshes, resolution, paddings, density, squeeze))
+    return finish(unwrapping(meshes, resolution, paddings, density, squeeze, most))
 
 
 def unwrapping(
-    meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], density: np.ndarray | None = None, squeeze: bool = True
+    meshes: Sequence[Mesh],
+    resolution: int,
+    paddings: Sequence[int],
+    density: np.ndarray | None = None,
+    squeeze: bool = True,
+    most: float = np.inf,
 ) -> Steps[Unwrapped]:
     """The same in steps, each a call into xatlas or about a tenth of a second; it may run in any thread.
 
@@ -68,25 +80,25 @@ def unwrapping(
     density = np.ones(len(meshes)) if density is None else np.asarray(density, np.float64)
     try:
         charts = yield from within(_all_charts(meshes, making_charts), 0.0, CHARTS)
-        return (yield from within(_first_that_fits(meshes, charts, resolution, paddings, density, "", squeeze), CHARTS, 1.0))
+        return (yield from within(_first_that_fits(meshes, charts, resolution, paddings, density, "", squeeze, most), CHARTS, 1.0))
     except _Unfit as failure:
         reason = str(failure)
     except TargetError as error:
         reason = error.notice.reason
-    return (yield from within(projecting(meshes, resolution, paddings, reason, density, squeeze), CHARTS, 1.0))
+    return (yield from within(projecting(meshes, resolution, paddings, reason, density, squeeze, most), CHARTS, 1.0))
 
 
 def by_projection(meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], reason: str) -> Unwrapped:
     """The same by our own projections on shelves, taken for a `reason`, which is not empty."""
-    return finish(projecting(meshes, resolution, paddings, reason, np.ones(len(meshes)), True))
+    return finish(projecting(meshes, resolution, paddings, reason, np.ones(len(meshes)), True, np.inf))
 
 
 def projecting(
-    meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], reason: str, density: np.ndarray, squeeze: bool
+    meshes: Sequence[Mesh], resolution: int, paddings: Sequence[int], reason: str, density: np.ndarray, squeeze: bool, most: float
 ) -> Steps[Unwrapped]:
-    """`by_projection` in steps, with `density` and `squeeze` of `unwrap`."""
+    """`by_projection` in steps, with `density`, `squeeze` and `most` of `unwrap`."""
     charts = yield from within(_all_charts(meshes, _projected), 0.0, CHARTS)
-    return (yield from within(_first_that_fits(meshes, charts, resolution, paddings, density, reason, squeeze), CHARTS, 1.0))
+    return (yield from within(_first_that_fits(meshes, charts, resolution, paddings, density, reason, squeeze, most), CHARTS, 1.0))
 
 
 def _all_charts(meshes: Sequence[Mesh], make: Callable[[Mesh], Steps[Charts]]) -> Steps[list[Charts]]:
@@ -119,14 +131,15 @@ def _first_that_fits(
     density: np.ndarray,
     projected: str,
     squeeze: bool,
+    most: float,
 ) -> Steps[Unwrapped]:
     """The charts packed with the first padding that fits. Raises TargetError or, for charts of xatlas, _Unfit."""
     for padding in paddings[:-1]:
         try:
-            return (yield from _checked(meshes, charts, resolution, padding, density, projected, squeeze))
+            return (yield from _checked(meshes, charts, resolution, padding, density, projected, squeeze, most))
         except TargetError:
             continue
-    return (yield from _checked(meshes, charts, resolution, paddings[-1], density, projected, squeeze))
+    return (yield from _checked(meshes, charts, resolution, paddings[-1], density, projected, squeeze, most))
 
 
 def _checked(
@@ -137,6 +150,7 @@ def _checked(
     density: np.ndarray,
     projected: str,
     squeeze: bool,
+    most: float,
 ) -> Steps[Unwrapped]:
     """Pack, check and mend, a few times. Raises TargetError or, for charts of xatlas, _Unfit."""
     gap, scale = padding, 0.0
@@ -144,13 +158,13 @@ def _checked(
     charts = [parted(mesh, part, side / factor) for mesh, part, factor in zip(meshes, charts, density, strict=True)]
     for number in range(TRIES):
         flat = join(charts, density)
-        flat, long = shortened(flat, resolution, FULL) if squeeze else (flat, np.zeros(flat.count, bool))
+        flat, left = shortened(flat, resolution, FULL, most) if squeeze else (flat, np.ones(flat.count))
         if projected:
-            uv, scale = pack_on_shelves(flat, resolution, gap)
+            uv, scale = pack_on_shelves(flat, resolution, gap, most)
         elif scale:
-            uv, scale = pack_again(flat, resolution, gap, scale)
+            uv, scale = pack_again(flat, resolution, gap, scale, most)
         else:
-            uv, scale = pack_tightly(flat, resolution, gap)
+            uv, scale = pack_tightly(flat, resolution, gap, most)
         yield (number + 0.5) / TRIES
         faults = check(meshes, uv, resolution, padding, flat.chart, density)
         if not faults:
@@ -163,8 +177,8 @@ def _checked(
             raise _Unfit(f"the charts of xatlas have {faults}")
         projected = f"{projected}; what is left is {faults}"
     stops = np.cumsum([len(mesh.triangles) for mesh in meshes])[:-1]
-    squeezed = np.array([bool(part.any()) for part in np.split(long[flat.chart], stops)])
-    return Unwrapped(tuple(np.split(uv, stops)), scale, padding, faults.charts, squeezed, faults.covered / resolution**2, projected)
+    length = np.array([part.min(initial=1.0) for part in np.split(left[flat.chart], stops)])
+    return Unwrapped(tuple(np.split(uv, stops)), scale, padding, faults.charts, length, faults.covered / resolution**2, projected)
 
 
 def _mended(meshes: Sequence[Mesh], charts: list[Charts], faults: Faults) -> list[Charts]:
