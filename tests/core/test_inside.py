@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.receivers.apart import Layer
 from adjgi.adjoint_gi.core.receivers.inside import Interiors
 from adjgi.adjoint_gi.core.receivers.texels import rasterize
 from adjgi.adjoint_gi.core.receivers.vertices import vertex_receivers
@@ -256,3 +257,91 @@ def test_vertices_below_a_wall_take_their_light_from_beside_it():
     assert (away > 0.4).all() and (away < 1).all()
     plain = np.hypot(*(place[~below, :2] - np.stack([x, y], axis=1)[np.argsort(vertices.index[0])][owner[~below]]).T)
     assert plain.max() < 0.06
+
+
+# Boxes that run through one another, or touch: what stands on the floor is all of it, whatever a ray meets first.
+OVERLAPS = {
+    "a bookcase sunk into a wall": [WALL, ((5.4, 3.0, 0.0), (6.6, 6.0, 1.0))],
+    "a shelf that hangs in a wall": [WALL, ((4.2, 1.6, 0.8), (5.2, 8.4, 1.0))],
+    "a corner of two walls": [WALL, ((4.8, 1.0, 0.0), (9.6, 1.8, 2.5))],
+    "a column half in a wall": [WALL, ((4.4, 4.0, 0.0), (5.2, 6.0, 2.5))],
+    "two blocks that touch": [((3.0, 2.0, 0.0), (5.0, 6.0, 1.0)), ((5.0, 2.0, 0.0), (7.0, 6.0, 1.0))],
+    "two blocks one on the other": [((3.0, 2.0, 0.0), (5.0, 6.0, 1.0)), ((3.0, 2.0, 1.0), (5.0, 6.0, 2.0))],
+    "three through one place": [((3.0, 4.0, 0.0), (8.0, 6.0, 1.0)), ((4.0, 2.0, 0.0), (6.0, 8.0, 2.0)), ((4.2, 4.2, 0.0), (5.8, 5.8, 3.0))],
+}
+
+
+@pytest.mark.parametrize("joined", [False, True])
+@pytest.mark.parametrize("name", OVERLAPS)
+def test_bodies_that_overlap_or_touch_are_told_one_by_one(name, joined):
+    """As objects of their own, and as pieces of one mesh. A bookcase .2 m in a wall made the floor at its other side 75 % too dark."""
+    b, boxes = floor(), OVERLAPS[name]
+    for k, box in enumerate(boxes):
+        block(b, f"Box {k}", *box)
+    if joined:
+        several = SceneBuilder()
+        for k, box in enumerate(boxes):
+            block(several, f"Box {k}", *box)
+        arrays, b = several.build(), floor()
+        b.mesh("Boxes", arrays.vertices, arrays.triangles, WHITE)
+    point, inside = found(b)
+    want = np.any([within(point, *box) for box in boxes if box[0][2] == 0], axis=0)
+    assert np.array_equal(inside, want) and want.any()
+
+
+def test_sheets_that_run_through_a_wall_or_end_on_it_do_not_open_it():
+    """A ceiling as high as the wall, one that it runs through, and a room turned inward whose walls it runs through."""
+    for height in (2.0, 2.5):
+        b = floor()
+        block(b, "Wall", *WALL)
+        b.quad("Ceiling", (0, 0, height), (0, 10, 0), (10, 0, 0), WHITE)
+        block(b, "Room", (0, 1.5, -0.2), (10, 8.5, 2.2), flip=True)
+        point, inside = found(b)
+        assert np.array_equal(inside, within(point, *WALL))
+
+
+@pytest.mark.parametrize("put", [lamp, camera])
+def test_furniture_through_the_wall_of_a_house(put):
+    """A house and a room in it, each closed, a partition that ends within the wall between them and a block on the floor."""
+    b = floor()
+    block(b, "House", (-0.5, -0.5, -0.5), (10.5, 10.5, 3.5))
+    block(b, "Room", (-0.1, 0.9, -0.1), (10.1, 9.3, 3.0), flip=True)
+    partition, chest = ((7.0, 0.6, -0.1), (7.4, 5.0, 3.2)), ((7.2, 3.0, 0.0), (8.6, 4.0, 1.0))
+    block(b, "Partition", *partition)
+    block(b, "Chest", *chest)
+    put(b)
+    point, inside = found(b)
+    assert np.array_equal(inside, within(point, *partition) | within(point, *chest))
+
+
+def test_a_room_in_a_house_without_a_lamp_is_no_body():
+    b = floor()
+    block(b, "House", (-0.5, -0.5, -0.5), (10.5, 10.5, 3.5))
+    block(b, "Room", (-0.1, -0.1, -0.1), (10.1, 10.1, 3.0), flip=True)
+    assert not found(b)[1].any()
+
+
+def test_a_lamp_behind_blocks_that_touch_is_in_none_of_them():
+    """Its ray passes the face they share, of which only one is met."""
+    step = np.float32([0.36, 0.48, 0.8])
+    for shared in (3.0, 5.0):
+        b = floor()
+        b.light(Light("Lamp", "point", (1, 1, 1), position=tuple(np.array([shared, 4.0, 1.0]) - 2 * step)))
+        boxes = [((shared - 1, 3.0, 0.0), (shared, 5.0, 2.0)), ((shared, 3.0, 0.0), (shared + 1, 5.0, 2.0))]
+        for k, box in enumerate(boxes):
+            block(b, f"Block {k}", *box)
+        point, inside = found(b)
+        assert np.array_equal(inside, within(point, *boxes[0]) | within(point, *boxes[1]))
+
+
+def test_where_nothing_can_stand_no_ray_is_cast(monkeypatch):
+    """The boxes of bodies tell; a floor without any asks nothing, one with a block asks for the points near it."""
+    asked = []
+    plain = Layer.intersect
+    monkeypatch.setattr(Layer, "intersect", lambda self, origin, d: asked.append(len(origin)) or plain(self, origin, d))
+    found(floor())
+    assert not asked
+    b = floor()
+    block(b, "Block", (4.0, 4.0, 0.0), (5.0, 5.0, 1.0))
+    assert found(b)[1].sum() == 25
+    assert sum(asked) < 36 + 9 * 25 + 1 < 2500
