@@ -2294,6 +2294,20 @@ BUGS = (
         "        return own\n",
         "tests/blender/test_jobs.py -k not_renewed",
     ),
+    Bug(
+        "bodies that overlap hide one another's backs",
+        "adjoint_gi/core/receivers/apart.py",
+        "given[k] = min(int(np.argmin(taken)), LAYERS - 1)",
+        "given[k] = 0",
+        "tests/core/test_inside.py -k overlap",
+    ),
+    Bug(
+        "closed pieces whose corners coincide are one piece",
+        "adjoint_gi/core/receivers/inside.py",
+        "(np.bincount(piece, loose.any(axis=1)) > 0)[piece]",
+        "(np.bincount(piece, loose.any(axis=1)) >= 0)[piece]",
+        "tests/core/test_inside.py -k overlap",
+    ),
 )
 
 

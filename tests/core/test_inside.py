@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
-from adjgi.adjoint_gi.core.receivers.apart import Layer
+from adjgi.adjoint_gi.core.receivers.apart import BodyLayer
 from adjgi.adjoint_gi.core.receivers.inside import Interiors
 from adjgi.adjoint_gi.core.receivers.texels import rasterize
 from adjgi.adjoint_gi.core.receivers.vertices import vertex_receivers
@@ -337,8 +337,8 @@ def test_a_lamp_behind_blocks_that_touch_is_in_none_of_them():
 def test_where_nothing_can_stand_no_ray_is_cast(monkeypatch):
     """The boxes of bodies tell; a floor without any asks nothing, one with a block asks for the points near it."""
     asked = []
-    plain = Layer.intersect
-    monkeypatch.setattr(Layer, "intersect", lambda self, origin, d: asked.append(len(origin)) or plain(self, origin, d))
+    plain = BodyLayer.intersect
+    monkeypatch.setattr(BodyLayer, "intersect", lambda self, origin, d: asked.append(len(origin)) or plain(self, origin, d))
     found(floor())
     assert not asked
     b = floor()

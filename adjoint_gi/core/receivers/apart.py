@@ -13,7 +13,7 @@ APART = 4096  # bodies that are told apart, the largest; the others share one la
 CELLS = 64  # along each axis of the grid that says which layers are near
 
 
-class Layer:
+class BodyLayer:
     """Some triangles of a world alone."""
 
     def __init__(self, world: World, triangles: np.ndarray) -> None:
@@ -47,7 +47,7 @@ def spread(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return layer
 
 
-class LayerGrid:
+class BodyGrid:
     """Which layers have a box near a point."""
 
     def __init__(self, low: np.ndarray, high: np.ndarray, layer: np.ndarray) -> None:

@@ -22,7 +22,7 @@ from ..sampling.maps import cosine_directions
 from ..scene.arrays import ObjectArrays, RayKind
 from ..scene.topology import components, edge_pairs, weld
 from ..scene.world import Surface, World
-from .apart import Layer, LayerGrid, spread
+from .apart import BodyLayer, BodyGrid, spread
 
 CHUNK = 1 << 16  # points looked at in one go
 RAYS = 8  # from each point whose first ray met a back
@@ -101,7 +101,7 @@ def _inside(world: World, bodies: Bodies, triangle: np.ndarray, u: np.ndarray, v
     return out
 
 
-def _mostly_inside(world: World, bodies: Bodies, layer: Layer, surface: Surface) -> np.ndarray:
+def _mostly_inside(world: World, bodies: Bodies, layer: BodyLayer, surface: Surface) -> np.ndarray:
     """(n,) bool: whether MOST of RAYS rays from the points of `surface` meet backs of bodies of `layer` first."""
     # Step 1: one ray along the normal, which costs little where nothing stands on anything. It meets a back, or a front so near that the
     # body may hover.
@@ -138,8 +138,8 @@ class Bodies:
     plane: np.ndarray
     near: np.ndarray
     extent: np.ndarray
-    layers: tuple[Layer, ...] = ()
-    grid: LayerGrid | None = None
+    layers: tuple[BodyLayer, ...] = ()
+    grid: BodyGrid | None = None
 
     @classmethod
     def of(cls, world: World, objects: Sequence[int]) -> Bodies:
@@ -164,16 +164,16 @@ class Bodies:
         solid = ~bodies._with_sources(world)
         if not solid.any():
             return replace(bodies, layers=())
-        grid = LayerGrid(*(corner[solid] for corner in grown), layer[solid])
+        grid = BodyGrid(*(corner[solid] for corner in grown), layer[solid])
         return replace(bodies, label=np.where(solid[label] & (label >= 0), label, -1), grid=grid)
 
-    def _apart(self, world: World, found: list[Body], layer: np.ndarray, many: int, pieces: list[Pieces]) -> tuple[Layer, ...]:
+    def _apart(self, world: World, found: list[Body], layer: np.ndarray, many: int, pieces: list[Pieces]) -> tuple[BodyLayer, ...]:
         """`many` layers, `layer` (k,) of each body that was `found`."""
         parts: list[list[np.ndarray]] = [[] for _ in range(many)]
         rooms = _Rooms.of(pieces, self.label)
         for body, which in zip(found, layer, strict=True):
             parts[which] += [body.triangles, *rooms.within(body.low, body.high)]
-        return tuple(Layer(world, np.concatenate(part)) for part in parts)
+        return tuple(BodyLayer(world, np.concatenate(part)) for part in parts)
 
     def back(self, world: World, hit: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """(n,) bool: whether rays that met `hit` (n,), -1 for none, met the back of a body."""
