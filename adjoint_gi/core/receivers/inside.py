@@ -22,7 +22,7 @@ from ..sampling.maps import cosine_directions
 from ..scene.arrays import ObjectArrays, RayKind
 from ..scene.topology import components, edge_pairs, weld
 from ..scene.world import Surface, World
-from .apart import BodyLayer, BodyGrid, spread
+from .apart import BodyGrid, BodyLayer, spread
 
 CHUNK = 1 << 16  # points looked at in one go
 RAYS = 8  # from each point whose first ray met a back
