@@ -2308,6 +2308,20 @@ BUGS = (
         "(np.bincount(piece, loose.any(axis=1)) >= 0)[piece]",
         "tests/core/test_inside.py -k overlap",
     ),
+    Bug(
+        "every triangle of a surface chooses its baked side for itself",
+        "adjoint_gi/core/walks/openness.py",
+        "label[obj.triangles] = obj.first_triangle + _sheets(world, index)",
+        "label[obj.triangles] = obj.first_triangle + np.arange(obj.triangle_count)",
+        "tests/methods/test_baked_sides.py -k surface",
+    ),
+    Bug(
+        "a surface hangs together where its normals do not agree",
+        "adjoint_gi/core/scene/topology.py",
+        "agree = start[one] == end[other]",
+        "agree = start[one] >= 0",
+        "tests/methods/test_baked_sides.py -k surface",
+    ),
 )
 
 

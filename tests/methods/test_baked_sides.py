@@ -9,6 +9,7 @@ from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.receivers.vertices import vertex_receivers
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Light
 from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.adjoint_gi.core.walks import openness
 from adjgi.tests import scenes
 from adjgi.tests.solving import look, solve
 
@@ -110,3 +111,45 @@ def test_of_a_closed_body_that_glows_the_outside_is_baked(emission):
     b.light(Light("Lamp", "point", (10, 10, 10), (0, 0, 4), radius=0.1))
     sides = baked_sides(World(b.build()), [0, 1])
     assert sides.facing is None and not sides.notices
+
+
+def a_column(flip: bool = False, floor: bool = False, turned: tuple[int, ...] = (), camera: Camera | None = None) -> World:
+    """An open column of eight smooth sides below a slanting sun, its normals outward; `flip`: inward, `turned`: those of some triangles."""
+    b, angle = SceneBuilder(), np.arange(8) * np.pi / 4
+    ring = np.stack([0.5 * np.cos(angle), 0.5 * np.sin(angle), 0 * angle], axis=1)
+    k, after = np.arange(8), (np.arange(8) + 1) % 8
+    triangles = np.stack([k, after, after + 8, k, after + 8, k + 8], axis=1).reshape(16, 3)
+    other = np.isin(np.arange(16), turned) ^ flip
+    triangles[other] = triangles[other, ::-1]
+    b.mesh("Column", np.concatenate([ring, ring + (0, 0, 2)]), triangles, WHITE)
+    if floor:
+        b.quad("Floor", (-5, -5, 0), (10, 0, 0), (0, 10, 0), WHITE)
+    b.light(Light("Sun", "sun", (3, 3, 3), axis_x=(1, 0, 0), axis_y=(0, 0.62, 0.78), axis_z=(0, -0.78, 0.62)))
+    b.camera = camera
+    return World(b.build())
+
+
+OUTSIDE, DOWN_INTO_IT = look((0, -6, 1), (0, 1, 0)), look((0, 0, 6), (0.01, 0, -1))
+
+
+@pytest.mark.parametrize("floor", [False, True])
+@pytest.mark.parametrize(("flip", "camera"), [(False, None), (True, None), (False, OUTSIDE), (True, DOWN_INTO_IT)])
+def test_a_surface_that_is_open_at_both_sides_shows_the_side_of_its_normals(flip, camera, floor):
+    """Half of the column was baked from within, 29 % too bright in the sun: its far half has light there alone. Nor is it asked to turn."""
+    world = a_column(flip, floor, camera=camera)
+    assert baked_sides(world, [0]).facing is None
+    assert not openness.notices(world, {0})
+
+
+@pytest.mark.parametrize(("flip", "camera"), [(True, OUTSIDE), (False, DOWN_INTO_IT)])
+def test_a_surface_of_which_only_backs_are_seen_is_turned_as_a_whole(flip, camera):
+    world = a_column(flip, camera=camera)
+    assert np.allclose(baked_sides(world, [0]).facing, -world.rows[:, 9:12])
+
+
+def test_of_a_surface_only_what_is_turned_against_the_rest_is_turned_back():
+    """A side of the column whose normals do not agree with its neighbours is a surface of its own."""
+    lit = (12, 13)  # towards the sun, and dark within: the sun comes from -y
+    found = baked_sides(a_column(turned=lit, floor=True, camera=OUTSIDE), [0])
+    world = a_column(turned=lit)
+    assert np.array_equal(np.flatnonzero(np.einsum("ij,ij->i", found.facing[:16], world.rows[:, 9:12]) < 0), lit)

@@ -1,7 +1,8 @@
 """Which side of each face a bake shows: the front, or the back where that is the one that is seen, or else the one that is lit.
 
 Rooms are modelled with faces whose normals point away from the room, and a render shows their backs. What is seen is found by particles
-of importance from the camera (the potential of its view, Eq. 2), what is lit by particles of the lights.
+of importance from the camera (the potential of its view, Eq. 2), what is lit by particles of the lights. A surface that hangs together
+with normals that agree is turned as a whole or not at all; where both of its sides are met, its fronts are baked, as Cycles bakes them.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from ..base.errors import Notice
 from ..scene.world import World
 from ..walks import openness
-from ..walks.openness import DARK, ENOUGH, MIN_ARRIVALS, count_sides
+from ..walks.openness import DARK, ENOUGH, MIN_ARRIVALS, count_sides, of_sheets
 from ..walks.particles import walk
 from .density import through_picture
 
@@ -68,18 +69,19 @@ def _by_back(world: World, sides: np.ndarray, volume: np.ndarray) -> tuple[np.nd
     """(nt,) bool: the back is met, and the front hardly; and (nt,) bool: enough arrived to tell. `sides` as of `_seen`, `volume` as of
     `_volume`.
 
-    Triangles with few arrivals follow their objects. Small objects have few as well: where all are at one side, a few are enough, and
-    any where that is the outside of a body.
+    Surfaces over which the normals agree count as one. Those with few arrivals follow their objects. Small objects have few as well: where
+    all are at one side, a few are enough, and any where that is the outside of a body.
     """
     owner, objects = world.scene.object, len(world.scene.objects)
-    total = sides.sum(axis=0)
-    of_object, back_of_object = (np.bincount(owner, counts, objects) for counts in (total, sides[1]))
+    of_object, back_of_object = (np.bincount(owner, counts, objects) for counts in (sides.sum(axis=0), sides[1]))
     all_back = (of_object > 0) & (back_of_object == of_object)
     agreed = (of_object >= ENOUGH) & (all_back | (back_of_object == 0))
     told = (of_object >= MIN_ARRIVALS) | agreed | (all_back & (volume < 0))
+    sheets = of_sheets(world, sides)
+    total = sheets.sum(axis=0)
     own = total >= ENOUGH
     known = own | told[owner]
-    back = np.where(own, sides[1] >= DARK * total, (back_of_object >= DARK * of_object)[owner])
+    back = np.where(own, sheets[1] >= DARK * total, (back_of_object >= DARK * of_object)[owner])
     return back & known, known
 
 

@@ -44,6 +44,18 @@ def edge_pairs(corner_id: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return owner[:-1][same], owner[1:][same]
 
 
+def oriented_pieces(corner_id: np.ndarray) -> np.ndarray:
+    """(nt,) int64 labels of pieces of surface over which the normals agree: triangles `corner_id` (nt, 3), as for `edge_pairs`, that share
+    an edge with no third one and run along it in opposite directions."""
+    start, end = corner_id.ravel(), np.roll(corner_id, -1, axis=1).ravel()
+    key = np.minimum(start, end) * (int(corner_id.max(initial=0)) + 1) + np.maximum(start, end)
+    order = np.argsort(key, kind="stable")
+    _, first, many = np.unique(key[order], return_index=True, return_counts=True)
+    one, other = order[first[many == 2]], order[first[many == 2] + 1]
+    agree = start[one] == end[other]
+    return components(len(corner_id), one[agree] // 3, other[agree] // 3)
+
+
 def weld(vertices: np.ndarray) -> np.ndarray:
     """(nv,) int64: equal for vertices (nv, 3) at exactly the same place, so that split vertices do not part a surface."""
     place = np.ascontiguousarray(np.asarray(vertices, np.float64) + 0.0).view(np.uint64)  # + 0 turns -0 into 0

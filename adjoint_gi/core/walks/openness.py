@@ -1,8 +1,9 @@
 """Whether light leaks out of a scene, and whether it arrives only at the backs of faces: a few thousand particles, followed before a bake.
 
 A bake shows the fronts of faces, so faces that are lit from the back only come out black: their normals point the wrong way, or nothing
-lights the side that is baked. A sheet that is lit from both sides loses nothing. Most scenes are open, and nothing is at stake there;
-light that leaves a nearly closed scene is a leak.
+lights the side that is baked. A sheet that is lit from both sides loses nothing, and a surface that hangs together with normals that agree
+counts as one: an open column in the sun, whose far half has light within alone, is the right way round. Most scenes are open, and nothing
+is at stake there; light that leaves a nearly closed scene is a leak.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from ..base.errors import Notice
 from ..lights.emission import Emission
+from ..scene.topology import oriented_pieces, weld
 from ..scene.world import World
 from .particles import Hits, walk
 
@@ -78,21 +80,45 @@ def count_sides(sides: np.ndarray, hits: Hits) -> None:
         sides[k] += np.bincount(surface.triangle[of_side], minlength=sides.shape[1])
 
 
+_SHEETS: WeakKeyDictionary[World, dict[int, np.ndarray]] = WeakKeyDictionary()
+
+
+def of_sheets(world: World, sides: np.ndarray) -> np.ndarray:
+    """`sides` (2, nt) int64, arrivals at both sides of each triangle, summed over the surface that hangs together with it with normals that
+    agree. Triangles of objects that nearly nothing reaches from behind keep their own."""
+    label = np.arange(world.triangle_count)
+    behind = np.bincount(world.scene.object, sides[1], len(world.scene.objects))
+    for index in np.flatnonzero(behind >= DARK * ENOUGH).tolist():
+        obj = world.scene.objects[index]
+        label[obj.triangles] = obj.first_triangle + _sheets(world, index)
+    return np.stack([np.bincount(label, counts, world.triangle_count)[label] for counts in sides]).astype(np.int64)
+
+
+def _sheets(world: World, index: int) -> np.ndarray:
+    """(n,) int64 labels of the triangles of object `index`; found once for each world."""
+    known = _SHEETS.setdefault(world, {})
+    if index not in known:
+        obj = world.scene.objects[index]
+        vertices = world.scene.vertices[obj.first_vertex : obj.first_vertex + obj.vertex_count]
+        known[index] = oriented_pieces(weld(vertices)[world.scene.triangles[obj.triangles] - obj.first_vertex])
+    return known[index]
+
+
 def _lost(world: World, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Share of arrivals at dark fronts and arrivals of each object, from those at both sides (2, nt) of all triangles.
 
-    Where the triangles of an object are too small to have arrivals enough each, it counts as one.
+    Where the surfaces of an object are too small to have arrivals enough each, it counts as one.
     """
     owner, objects = world.scene.object, len(world.scene.objects)
 
     def of_objects(counts: np.ndarray) -> np.ndarray:
         return np.bincount(owner, counts, objects)
 
-    total = sides.sum(axis=0)
+    total, sheets = sides.sum(axis=0), of_sheets(world, sides)
     arrivals = of_objects(total)
-    told = total >= ENOUGH
+    told = sheets.sum(axis=0) >= ENOUGH
     known = of_objects(total * told)
-    dark = of_objects(total * (told & (sides[1] >= DARK * total)))
+    dark = of_objects(total * (told & (sheets[1] >= DARK * sheets.sum(axis=0))))
     back = of_objects(sides[1])
     whole = np.where(back >= DARK * arrivals, back / np.maximum(arrivals, 1), 0.0)
     return np.where(known >= MIN_ARRIVALS, dark / np.maximum(known, 1), whole), arrivals.astype(np.int64)
