@@ -11,7 +11,7 @@ from adjgi.adjoint_gi.core.scene import texture as textures
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material, Source, Term
 from adjgi.adjoint_gi.core.scene.passing import Passing
 from adjgi.adjoint_gi.core.scene.shading import LARGEST_EMISSION, Shading
-from adjgi.adjoint_gi.core.scene.texture import Texture, as_bytes, compact, sample_texture, shrunk
+from adjgi.adjoint_gi.core.scene.texture import Texture, as_bytes, compact, halvings_within, sample_texture
 
 
 def stored(channels, seed=3, size=(37, 21)):
@@ -97,11 +97,11 @@ def test_smaller_copies_hold_what_is_bright_beside_what_is_dark(bright):
     np.testing.assert_allclose(small.pixels[:, 0, 0], [bright, 1.0], rtol=1e-3)
 
 
-def test_shrunk_keeps_what_fits_and_fits_what_it_shrinks():
+def test_halving_keeps_what_fits_and_fits_what_it_shrinks():
     whole = Texture("a", stored(3, size=(64, 64)))
-    assert shrunk(whole, 64 * 64 * 3) is whole
+    assert halvings_within(whole, whole.stored.nbytes, 64 * 64 * 3) == 0
     for most in (64 * 64 * 3 - 1, 1000, 8):
-        assert shrunk(whole, most).stored.nbytes <= most
+        assert whole.smaller(halvings_within(whole, whole.stored.nbytes, most)).stored.nbytes <= most
 
 
 def test_as_bytes_is_exact():

@@ -79,12 +79,12 @@ def luminance(color: Color, images: Images) -> Color:
         if len(colored) > 1 or colored[0].kind != "image":
             raise NotPolynomial("its luminance cannot be taken before the sources are looked up")
         source = colored[0]
-        index = images.derive(source.texture, ("luminance", *weights.tolist()), _luminances(weights.astype(np.float32)))
+        index = images.derive(source.texture, _luminances(weights.astype(np.float32)))
         out = out + Color((Term((1.0, 1.0, 1.0), (*grey, _with(source, index))),))
     return simplified(out)
 
 
-def mapped(color: Color, function: Callable[[np.ndarray], np.ndarray], key: tuple, images: Images) -> Color:
+def mapped(color: Color, function: Callable[[np.ndarray], np.ndarray], images: Images) -> Color:
     """Apply `function` ((n, 3) -> (n, 3) float32) to a constant, or to the pixels when the colour depends on one image alone.
 
     Raises `NotPolynomial` otherwise.
@@ -97,20 +97,20 @@ def mapped(color: Color, function: Callable[[np.ndarray], np.ndarray], key: tupl
     if len(places) != 1 or next(iter(sources)).kind != "image":
         raise NotPolynomial("it depends on more than one image or on an attribute")
     source = next(iter(sources))
+    terms = [(term.constant, [s.alpha for s in term.sources]) for term in color.terms]
 
     def pixels(flat: np.ndarray) -> np.ndarray:
         value = np.zeros((len(flat), 3), np.float32)
-        for term in color.terms:
-            product = np.broadcast_to(np.array(term.constant, np.float32), value.shape)
-            for s in term.sources:
-                product = product * (flat[:, 3:4] if s.alpha else flat[:, :3])
+        for constant, alphas in terms:
+            product = np.broadcast_to(np.array(constant, np.float32), value.shape)
+            for alpha in alphas:
+                product = product * (flat[:, 3:4] if alpha else flat[:, :3])
             value += product
         with np.errstate(all="ignore"):
             flat[:, :3] = np.nan_to_num(function(value))
         return flat
 
-    index = images.derive(source.texture, (*key, repr(color.terms)), pixels)
-    return Color((Term((1.0, 1.0, 1.0), (_with(source, index),)),))
+    return Color((Term((1.0, 1.0, 1.0), (_with(source, images.derive(source.texture, pixels)),)),))
 
 
 def _luminances(weights: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

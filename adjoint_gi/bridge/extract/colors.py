@@ -158,9 +158,8 @@ class Colors:
         numbers = {n: self.number(p, f'"{n}" of node "{node.name}"') for n, p in sockets.items() if n != main and p.socket.type == "VALUE"}
         value = self.value(sockets[main]) if sockets[main].socket.type == "VALUE" else self.color(sockets[main])
         mapping = function(node, numbers)
-        key = (node.bl_idname, node.as_pointer(), tuple(sorted(numbers.items())))
         try:
-            return mapped(value, mapping, key, self.images)
+            return mapped(value, mapping, self.images)
         except NotPolynomial as e:
             try:
                 constant = Color.of(*mean(value, self.images))
@@ -169,7 +168,7 @@ class Colors:
                 constant = self._default(sockets[main])
                 text = "its result for its input's default value is used"
             self.skip(place, f"cannot be computed, because {e}", text)
-            return mapped(constant, mapping, key, self.images)
+            return mapped(constant, mapping, self.images)
 
     def _image(self, node: bpy.types.Node, place: Place) -> Color:
         """Image Texture: a lookup through a UV layer, or the mean of the image where the coordinates are others."""
@@ -204,7 +203,7 @@ class Colors:
         index = self.images.read(node, "REPEAT", "Linear", False)
         if index is None:
             return Color.of(*MEAN_OF_NOTHING[:3])
-        rows = self.images.textures[index].row_means
+        rows = self.images.row_means(index)
         weight = np.ones(len(rows))
         if node.projection == "EQUIRECTANGULAR":
             weight = np.sin(np.pi * (np.arange(len(rows)) + 0.5) / len(rows))
@@ -272,7 +271,7 @@ class Colors:
     def _clamped(self, color: Color, place: Place) -> Color:
         """A colour kept between 0 and 1 where that can be computed; sums of images within 0 to 1 are left as they are."""
         try:
-            return mapped(color, lambda c: np.clip(c, 0.0, 1.0), ("clamp",), self.images)
+            return mapped(color, lambda c: np.clip(c, 0.0, 1.0), self.images)
         except NotPolynomial:
             self.skip(place, "clamps a mixture of sources", "it is not clamped", "Switch clamping off")
             return color
@@ -283,7 +282,7 @@ class Colors:
             raise Unknown(f'node "{node.name}" separates a colour by {node.mode}')
         channel = "RGB".index(place.socket.name[0])
         main = next(iter(inputs(place).values()))
-        return mapped(self.color(main), lambda c: np.repeat(c[:, channel : channel + 1], 3, axis=1), ("channel", channel), self.images)
+        return mapped(self.color(main), lambda c: np.repeat(c[:, channel : channel + 1], 3, axis=1), self.images)
 
     def _combine(self, node: bpy.types.Node, place: Place) -> Color:
         """Combine Color by red, green and blue, and the old Combine RGB, whose inputs are called R, G and B."""

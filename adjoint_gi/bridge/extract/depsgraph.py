@@ -19,7 +19,7 @@ from ..host.versions import working_space_notice
 from ..results.show import unhidden
 from .camera import read_camera
 from .cycles_settings import name_scene_settings
-from .image_store import KNOWN
+from .image_store import KNOWN, Wanted
 from .instances import InstanceWalk
 from .lights import read_lights
 from .materials import Materials
@@ -44,7 +44,7 @@ def extract(
     as it is stands in `warnings`; a scene in which there is nothing to compute gives a notice of severity "error" and empty arrays.
     Call it on the main thread.
     """
-    reading = Reading(scene or depsgraph.scene_eval, resolution, real or {})
+    reading = Reading(scene or depsgraph.scene_eval, resolution, real or {}, aside=False)
     # A depsgraph of a render lists what is hidden in the viewport anyway.
     with unhidden(depsgraph.view_layer) if depsgraph.mode == "VIEWPORT" else contextlib.nullcontext():
         reading.go_on(depsgraph, lambda: False)
@@ -59,55 +59,77 @@ def extracting(resolution: tuple[int, int] | None = None, real: Mapping[str, bpy
     """
     yield "Reading the scene"  # whoever asks has looked at it first
     for attempt in range(ATTEMPTS):
-        reading, last = Reading(bpy.context.scene, resolution, real or {}), attempt == ATTEMPTS - 1
-        seen = None
+        last = attempt == ATTEMPTS - 1
+        reading, seen = Reading(bpy.context.scene, resolution, real or {}, aside=not last), None
         while True:
-            depsgraph = bpy.context.evaluated_depsgraph_get()
-            now = changes.count(), depsgraph.as_pointer(), bpy.context.scene.session_uid
+            depsgraph, now = _looked()
             if seen not in (None, now):
                 break
-            seen, turn = now, Turn()
+            turn = Turn()
             with unhidden(depsgraph.view_layer):
                 # What is shown for the moment is evaluated for it, and gone afterwards.
                 at_once = last or changes.count() != now[0]
-                if reading.go_on(depsgraph, (lambda: False) if at_once else turn.over, turn.back):
-                    return (yield Aside("Placing the meshes", SCENES.arranged(reading.key, reading.arranging)))
-            yield "Reading the scene"
+                stage = reading.go_on(depsgraph, (lambda: False) if at_once else turn.over, turn.back)
+            if stage is None:
+                return (yield Aside("Placing the meshes", SCENES.arranged(reading.key, reading.arranging)))
+            seen = _looked()[1] if at_once else now
+            yield stage
     raise AssertionError("the last attempt reads all at once")
 
 
-class Reading:
-    """Copies a scene a little at a time, to arrange it without Blender. `resolution` and `real` as `extract` has them."""
+def _looked() -> tuple[bpy.types.Depsgraph, tuple]:
+    """The depsgraph of the context, evaluated, and what is another after every change in it."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    return depsgraph, (changes.count(), depsgraph.as_pointer(), bpy.context.scene.session_uid)
 
-    def __init__(self, scene: bpy.types.Scene, resolution: tuple[int, int] | None, real: Mapping[str, bpy.types.Object]) -> None:
-        self._scene, self._resolution, self._notices = scene, resolution, Notices()
+
+class Reading:
+    """Copies a scene a little at a time, to arrange it without Blender. `resolution` and `real` as `extract` has them, `aside` as
+    `Images`."""
+
+    def __init__(
+        self, scene: bpy.types.Scene, resolution: tuple[int, int] | None, real: Mapping[str, bpy.types.Object], aside: bool
+    ) -> None:
+        self._scene, self._resolution, self._notices, self._aside = scene, resolution, Notices(), aside
         self._materials: Materials | None = None
         self._real = real
+        self._lights: tuple[Light, ...] | None = None  # once the walk is over
         self._copied: Copied | None = None
 
-    def go_on(self, depsgraph: bpy.types.Depsgraph, over: Callable[[], bool], back: Callable[[], None] = lambda: None) -> bool:
-        """Ask Blender until `over()`; returns whether all was asked. Nothing may have changed in the depsgraph between two calls. `back` as
-        `InstanceWalk.go_on` has it."""
+    def go_on(
+        self, depsgraph: bpy.types.Depsgraph, over: Callable[[], bool], back: Callable[[], None] = lambda: None
+    ) -> Aside | str | None:
+        """Ask Blender until `over()`, or until something has to be computed before it is asked more; returns the stage that comes before
+        the next call, None when all was asked. Nothing may have changed in the depsgraph between two calls. `back` as `InstanceWalk.go_on`
+        has it."""
         # Step 1: copy meshes, materials and lamps while walking over the instances (temporary objects die after the walk).
         if self._materials is None:
             working_space_notice(self._notices)
-            self._materials = Materials(depsgraph, self._notices)
+            self._materials = Materials(depsgraph, self._notices, self._aside)
             self._walk = InstanceWalk(self._materials.index_of, self._materials.bodiless, self._notices, self._real)
         materials, walk, notices = self._materials, self._walk, self._notices
         materials.depsgraph = depsgraph
-        if not walk.go_on(depsgraph, over, back):
-            return False
-
-        # Step 2: what is not geometry.
         scene = self._scene
-        name_scene_settings(scene.original, depsgraph.view_layer, notices)
-        lights = read_lights(walk.lights, notices)
-        background = read_world(depsgraph.view_layer.world_override or scene.world, materials.colors, notices)
+        if self._lights is None:
+            if not walk.go_on(depsgraph, over, back):
+                return "Reading the scene"
+            name_scene_settings(scene.original, depsgraph.view_layer, notices)
+            self._lights = read_lights(walk.lights, notices)  # now: lamps that are shown for the moment are gone afterwards
+
+        # Step 2: what has pixels.
+        try:
+            if not materials.go_on(over):
+                return "Reading the scene"
+            background = read_world(depsgraph.view_layer.world_override or scene.world, materials.colors, notices)
+        except Wanted as wanted:
+            return wanted.aside()
+
+        # Step 3: the rest.
         camera = read_camera(scene, depsgraph, self._resolution, notices)
         KNOWN.settle()
         made, textures, default_color = materials.result(), materials.textures(), materials.colors.uses_default_attribute
-        self._copied = Copied(scene.name, walk.walked(), default_color, made, textures, lights, background, camera)
-        return True
+        self._copied = Copied(scene.name, walk.walked(), default_color, made, textures, self._lights, background, camera)
+        return None
 
     def key(self) -> bytes:
         """A digest of what was copied. Needs no Blender."""

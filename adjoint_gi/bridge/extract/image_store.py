@@ -1,7 +1,8 @@
 """Images that were read before: kept from one extraction to the next as long as their files are the same.
 
-Pressing Bake extracts the scene that the panel has just checked, and extracts it again when UV layers were made. Only images that
-Blender does not hold are kept: what it holds may be painted or set by a script without any sign.
+Pressing Bake extracts the scene that the panel has just checked, and extracts it again when UV layers were made. Of what is read only
+images that Blender does not hold are kept: what it holds may be painted or set by a script without any sign. What is computed of pixels
+is kept by these pixels and by what it is computed with.
 """
 
 from __future__ import annotations
@@ -14,7 +15,20 @@ import bpy
 
 from ...core.scene.texture import Texture
 from ..host.notices import Notices
+from ..host.preparation import Aside, once
 from .image_header import file_path
+
+
+class Wanted(Exception):
+    """Work on pixels that `work` does without Blender, and that reading cannot go on without. Reading the same again finds it done."""
+
+    def __init__(self, text: str, work: Callable[[], object]) -> None:
+        super().__init__(text)
+        self._text, self._work = text, work
+
+    def aside(self) -> Aside:
+        """The stage that does it."""
+        return Aside(self._text, once(self._work))
 
 
 class Recorder:
@@ -47,8 +61,9 @@ class ImageStore:
         found = self._known.get(key)
         if found is None:
             notices.begin()
-            found = self._known[key] = read(), notices.said
-            return found[0]
+            texture = read()
+            self.put(key, texture, notices.said)
+            return texture
         for said in found[1]:
             notices.add(*said)
         return found[0]
@@ -59,7 +74,12 @@ class ImageStore:
 
     def put(self, key: tuple, texture: Texture | None, said: list[tuple[str, str, str, str]]) -> None:
         """Keep a texture that was read, and what was said of it, for the next extraction."""
-        self._known[key] = texture, said
+        self._known[key] = texture, list(said)  # not what the recorder goes on with
+
+    def known(self, key: tuple) -> Texture | None:
+        """The texture of `key`, which stays known; None where it is not."""
+        self._asked.add(key)
+        return self._known[key][0] if key in self._known else None
 
     def drop(self, mark: str) -> None:
         """Forget all whose key begins with `mark`."""

@@ -9,21 +9,25 @@ alpha to bytes. Both are exact here.
 
 from __future__ import annotations
 
+import inspect
 import os
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import numpy as np
 
 from ...core.base.color import decode_srgb, encode_srgb
+from ...core.base.digest import digest
 from ...core.base.resources import size_text
-from ...core.scene.texture import Texture, as_bytes, compact, renamed, shrunk
+from ...core.scene.derived import derived, largest_size
+from ...core.scene.texture import Pixels, Texture, as_bytes, compact, halvings_within, renamed
 from ..host.notices import Notices
-from ..host.preparation import Aside, Stages, once
+from ..host.preparation import Stages
 from .image_header import NoFile, sequence_file, stored_header
-from .image_store import KNOWN, Recorder, fingerprint
+from .image_store import KNOWN, Recorder, Wanted, fingerprint
 
 LARGEST_IMAGE = 8192 * 8192  # pixels
 LARGEST_DECODED = 16 * LARGEST_IMAGE  # bytes that Blender may need for one image
@@ -59,14 +63,19 @@ class HandedOut:
 
 
 class Images:
-    """The textures of a scene at `frame`, which image sequences show: every image is read once for each way of reading it."""
+    """The textures of a scene at `frame`, which image sequences show: every image is read once for each way of reading it.
 
-    def __init__(self, notices: Notices, frame: int) -> None:
+    With `aside` work on pixels that is not done yet is not done here either, but raised as `Wanted`, for whoever reads to let it be done
+    in a thread and to read the same again.
+    """
+
+    def __init__(self, notices: Notices, frame: int, aside: bool = False) -> None:
         self._notices = Recorder(notices)
         self._frame = frame
+        self._aside = aside
         self._textures: list[Texture] = []
+        self._found: dict[tuple, Texture | None] = {}  # as they were read, maybe too large
         self._index: dict[tuple, int | None] = {}
-        self._grey: dict[int, bool] = {}
         self._bytes = 0
 
     @property
@@ -83,8 +92,12 @@ class Images:
         frame = shown_frame(node.image_user, self._frame) if image.source == "SEQUENCE" else None
         key = (image.original.as_pointer(), frame, extension, interpolation, straight)
         if key not in self._index:
-            read = self._once(image, straight) if frame is None else self._read_frame(image, frame, straight)
-            self._index[key] = None if read is None else self._add(renamed(read, image.name, extension, interpolation))
+            if key not in self._found:  # else it was read before something else was `Wanted`
+                read = self._once(image, straight) if frame is None else self._read_frame(image, frame, straight)
+                self._found[key] = None if read is None else renamed(read, image.name, extension, interpolation)
+            found = self._found[key]
+            self._index[key] = None if found is None else self._add(found)
+            del self._found[key]
         return self._index[key]
 
     def knowing(self, image: bpy.types.Image, straight: bool) -> Stages[None]:
@@ -95,46 +108,80 @@ class Images:
         key = fingerprint(image) or _lent(image)
         if key is None or KNOWN.holds((*key, straight)):
             return
-        self._notices.begin()
-        asked, texture = self._ask(image), None
-        if asked is not None:
-            texture = yield Aside(f"Reading image {image.name}", once(lambda: _ranged(self._texture(asked, straight))))
-        KNOWN.put((*key, straight), texture, self._notices.said)
+        try:
+            self._keep(image, straight, (*key, straight))
+        except Wanted as wanted:
+            yield wanted.aside()
 
-    def derive(self, texture: int, key: tuple, pixels: Callable[[np.ndarray], np.ndarray]) -> int:
-        """Index of a texture with the same lookup and other pixels, which `pixels` makes of some of them ((n, 4) float32, in place or not);
-        `key` makes it once."""
-        full = ("derived", texture, *key)
+    def derive(self, texture: int, pixels: Pixels) -> int:
+        """Index of a texture with the same lookup and other pixels, which `pixels` makes of some of them. Two functions are the same where
+        their code is and what they hold."""
+        function = digest(_identity(pixels))
+        full = ("derived", texture, function)
         if full not in self._index:
             of = self._textures[texture]
-            out = np.empty((of.height, of.width, 4), np.float32)
-            for rows, part in of.blocks():
-                out[rows] = pixels(part.reshape(-1, 4)).reshape(part.shape)
-            self._index[full] = self._add(of.with_pixels(out))
+            halvings = self._halvings(of, largest_size(of))
+            make = (lambda: of.smaller(halvings, pixels)) if halvings else (lambda: derived(of, pixels))
+            made = self._made(of, ("derived", function, halvings), make)
+            self._index[full] = self._add(made)
         found = self._index[full]
         assert found is not None
         return found
 
     def mean(self, texture: int) -> np.ndarray:
         """(4,) float64 mean of a texture."""
-        return self._textures[texture].row_means.mean(axis=0)
+        return self.row_means(texture).mean(axis=0)
+
+    def row_means(self, texture: int) -> np.ndarray:
+        """(h, 4) float64 mean of each row of a texture."""
+        return self._fact(self._textures[texture], "row_means")
+
+    def ranges(self, texture: int) -> np.ndarray:
+        """(2, 4) float32 least and largest value of each channel of a texture."""
+        return self._fact(self._textures[texture], "ranges")
 
     def is_grey(self, texture: int) -> bool:
         """Whether the three channels are equal in every pixel."""
-        if texture not in self._grey:
-            self._grey[texture] = self._textures[texture].is_grey
-        return self._grey[texture]
+        return self._fact(self._textures[texture], "is_grey")
 
     def _add(self, texture: Texture) -> int:
-        """Keep a texture, or a smaller copy of it where all together would take too much: never the last of what is left."""
-        left = LARGEST_TOTAL - self._bytes
-        small = shrunk(texture, max(left - LARGEST_TOTAL // 4, left // 2))
-        if small is not texture:
-            text = f"is used in a smaller copy, because all images together would take more than {size_text(LARGEST_TOTAL)}"
-            self._notices.add(f'Image "{texture.name}"', text, "Scale down images that need no detail")
+        """Keep a texture, or a smaller copy of it where all together would take too much."""
+        halvings = self._halvings(texture, texture.stored.nbytes)
+        small = self._made(texture, ("smaller", halvings), lambda: texture.smaller(halvings)) if halvings else texture
         self._bytes += small.stored.nbytes
         self._textures.append(small)
         return len(self._textures) - 1
+
+    def _halvings(self, texture: Texture, size: int) -> int:
+        """How often the sides of what takes `size` bytes at those of `texture` are to be halved, with a notice: never the last of what is
+        left of the budget is taken."""
+        left = LARGEST_TOTAL - self._bytes
+        halvings = halvings_within(texture, size, max(left - LARGEST_TOTAL // 4, left // 2))
+        if halvings:
+            text = f"is used in a smaller copy, because all images together would take more than {size_text(LARGEST_TOTAL)}"
+            self._notices.add(f'Image "{texture.name}"', text, "Scale down images that need no detail")
+        return halvings
+
+    def _made(self, of: Texture, how: tuple, make: Callable[[], Texture]) -> Texture:
+        """What `make` makes of the values of a texture: kept from earlier if it was made of the same ones and `how` is the same."""
+        key = ("made", self._fact(of, "content"), *how)
+        if KNOWN.known(key) is None:
+            self._work(of.name, lambda: KNOWN.put(key, _ranged(make()), []))
+        made = KNOWN.known(key)
+        assert made is not None
+        return renamed(made, of.name, of.extension, of.interpolation)
+
+    def _fact(self, texture: Texture, name: str) -> Any:
+        """What a texture computes of its pixels once."""
+        if name not in texture.__dict__:
+            self._work(texture.name, lambda: getattr(texture, name))
+        return getattr(texture, name)
+
+    def _work(self, name: str, work: Callable[[], object]) -> None:
+        """Do it with the pixels of the image `name`, or raise it."""
+        if self._aside:
+            raise Wanted(f"Reading image {name}", work)
+        work()
 
     def _read_frame(self, image: bpy.types.Image, frame: int, straight: bool) -> Texture | None:
         """One file of an image sequence, for which Blender gives no pixels: it is loaded for the moment."""
@@ -167,7 +214,18 @@ class Images:
             if lent is None or not KNOWN.holds((*lent, straight)):
                 return self._read(image, straight)
             key = lent
+        elif not KNOWN.holds((*key, straight)):
+            self._keep(image, straight, (*key, straight))
         return KNOWN.get((*key, straight), self._notices, lambda: self._read(image, straight))
+
+    def _keep(self, image: bpy.types.Image, straight: bool, key: tuple) -> None:
+        """Read it and keep it, and what is said of it, as `key`."""
+        self._notices.begin()
+        asked, said = self._ask(image), self._notices.said
+        if asked is None:
+            KNOWN.put(key, None, said)
+        else:
+            self._work(image.name, lambda: KNOWN.put(key, _ranged(self._texture(asked, straight)), said))
 
     def _read(self, image: bpy.types.Image, straight: bool, name: str = "") -> Texture | None:
         """Its pixels, as bytes where it has bytes. Notices call the image `name` where it stands for another."""
@@ -314,13 +372,20 @@ def reading(context: bpy.types.Context) -> Stages[None]:
         yield f"Reading image {name}"
         image = bpy.data.images.get(name)  # anything may have happened meanwhile
         if image is not None:
-            yield from Images(Notices(), 0).knowing(image, straight)
+            yield from Images(Notices(), 0, aside=True).knowing(image, straight)
 
 
 def _ranged(texture: Texture) -> Texture:
     """The texture with what extractions ask of it, and it keeps, computed."""
-    _ = texture.ranges, texture.is_grey
+    _ = texture.ranges, texture.is_grey, texture.content
     return texture
+
+
+def _identity(function: Callable) -> tuple:
+    """All that tells one function from another: where its code is, and the values that it holds."""
+    held = inspect.getclosurevars(function).nonlocals
+    values = {name: _identity(value) if callable(value) else value for name, value in held.items()}
+    return function.__module__, function.__qualname__, function.__code__.co_firstlineno, values
 
 
 def _images_of(tree: bpy.types.NodeTree, depth: int = 0) -> Iterator[tuple[bpy.types.Image, bool]]:

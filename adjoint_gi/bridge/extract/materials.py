@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import bpy
@@ -23,31 +24,37 @@ DEFAULT = "Default"  # name of the material of faces without one
 
 
 class Materials:
-    """Collects materials while the objects are walked over."""
+    """Collects materials while the objects are walked over, and reads them afterwards. `aside` as `Images` has it."""
 
-    def __init__(self, depsgraph: bpy.types.Depsgraph, notices: Notices) -> None:
+    def __init__(self, depsgraph: bpy.types.Depsgraph, notices: Notices, aside: bool = False) -> None:
         self.depsgraph = depsgraph
         self._override = depsgraph.view_layer.material_override
         self._notices = notices
-        self._index: dict[int, int] = {}
+        self._index: dict[int, int] = {}  # by the address of the material, 0 for none
         self._materials: list[Material] = []
         self.bodiless: set[int] = set()  # indices of materials that have a volume and no surface: light passes through their faces
-        self.images = Images(notices, depsgraph.scene_eval.frame_current)
+        self.images = Images(notices, depsgraph.scene_eval.frame_current, aside)
         self.colors = Colors(self.images, notices)
 
     def index_of(self, material: bpy.types.Material | None) -> int:
         """Index of a material; None gives Cycles' default, grey diffuse 0.8. The view layer's override stands for every one."""
         material = self._override or material
         key = 0 if material is None else material.original.as_pointer()
-        if key not in self._index:
-            index = self._index[key] = len(self._materials)
-            self._materials.append(Material(DEFAULT))
-            if material is not None:
-                self._materials[index] = self._read(material.evaluated_get(self.depsgraph), index)
-        return self._index[key]
+        return self._index.setdefault(key, len(self._index))
+
+    def go_on(self, over: Callable[[], bool]) -> bool:
+        """Read what was met, one material after the other until `over()`; returns whether all are read. Raises `Wanted`, and goes on with
+        the same material when it is called again."""
+        found = {material.as_pointer(): material for material in bpy.data.materials}
+        for key in list(self._index)[len(self._materials) :]:
+            read = self._read(found[key].evaluated_get(self.depsgraph), len(self._materials)) if key else Material(DEFAULT)
+            self._materials.append(read)
+            if over():
+                return False
+        return True
 
     def result(self) -> tuple[Material, ...]:
-        """All materials met so far."""
+        """All materials that were read."""
         return tuple(self._materials)
 
     def textures(self) -> tuple[Texture, ...]:
@@ -111,12 +118,12 @@ class Materials:
         if any(s.kind != "image" for t in terms for s in t.sources) or len(terms) > 1 or len(terms[0].sources) > 1:
             return color
         source = terms[0].sources[0]
-        ranges = self.images.textures[source.texture].ranges
+        ranges = self.images.ranges(source.texture)
         values = np.array(terms[0].constant) * (ranges[:, 3:] if source.alpha else ranges[:, :3])
         if values.min() < 0.0 or values.max() > top + 1e-4:
             self._tell(f"has an {word} outside 0 to {top:g} in its image; it is clamped", f"Use an image within 0 to {top:g}")
             try:
-                return mapped(color, lambda c: np.clip(c, 0.0, top), ("range", top), self.images)
+                return mapped(color, lambda c: np.clip(c, 0.0, top), self.images)
             except NotPolynomial:
                 return color
         return color

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..base.color import decode_srgb
+from ..base.digest import digest
 
 BLOCK = 1 << 20  # texels that are decoded at once where all of them are wanted
 LARGEST_HALF = 65504.0  # of a float16
+KEPT = ("ranges", "row_means", "is_grey", "content")  # what is computed of the stored values once
+
+Pixels = Callable[[np.ndarray], np.ndarray]  # of (n, 4) float32 scene-linear values others with the same alpha, in place or not
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,15 +54,17 @@ class Texture:
         """Whether the three colour channels are equal in every texel."""
         if self.stored.shape[2] < 3:
             return True
-        step = max(1, BLOCK // self.width)  # a part at a time: colour shows soon
-        parts = (self.stored[first : first + step] for first in range(0, self.height, step))
+        parts = (self.stored[rows] for rows in self.strips())  # a part at a time: colour shows soon
         return all(bool((s[:, :, 0] == s[:, :, 1]).all() and (s[:, :, 1] == s[:, :, 2]).all()) for s in parts)
+
+    def strips(self) -> Iterator[slice]:
+        """Rows from the bottom up, about `BLOCK` texels at a time."""
+        step = max(1, BLOCK // self.width)
+        return (slice(first, min(first + step, self.height)) for first in range(0, self.height, step))
 
     def blocks(self) -> Iterator[tuple[slice, np.ndarray]]:
         """(rows, (n, w, 4) float32 scene-linear) of the image from its bottom up, a part at a time."""
-        step = max(1, BLOCK // self.width)
-        for first in range(0, self.height, step):
-            rows = slice(first, min(first + step, self.height))
+        for rows in self.strips():
             part = self.stored[rows]
             yield rows, self._decoded(part.reshape(-1, part.shape[2])).reshape(len(part), self.width, 4)
 
@@ -75,6 +81,11 @@ class Texture:
         ends = np.array([_ends(part) for _, part in self.blocks()])
         return np.array([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
 
+    @functools.cached_property
+    def content(self) -> bytes:
+        """Digest of what is stored and how it is read, not of how it is looked up."""
+        return digest((self.stored, self.srgb, self.times_alpha))
+
     def texels(self, y: np.ndarray, x: np.ndarray) -> np.ndarray:
         """(n, 4) float32 scene-linear values of texels inside the image."""
         flat = self.stored.reshape(-1, self.stored.shape[2])
@@ -84,12 +95,14 @@ class Texture:
         """The same look-up in other scene-linear pixels (h, w, 4) float32."""
         return Texture(self.name, compact(pixels), self.extension, self.interpolation)
 
-    def smaller(self, halvings: int) -> Texture:
-        """A copy whose sides are divided by 2^`halvings`, each texel the mean of those that it stands for."""
+    def smaller(self, halvings: int, pixels: Pixels | None = None) -> Texture:
+        """A copy whose sides are divided by 2^`halvings`, each texel the mean of those that it stands for, or of what `pixels` makes of
+        them."""
         ys, xs = _edges(self.height, halvings), _edges(self.width, halvings)
         sums = np.zeros((len(ys) - 1, len(xs) - 1, 4))
         row = np.repeat(np.arange(len(ys) - 1), np.diff(ys))
         for rows, part in self.blocks():
+            part = part if pixels is None else pixels(part.reshape(-1, 4)).reshape(part.shape)
             across = np.add.reduceat(part, xs[:-1], axis=1, dtype=np.float64)
             into, starts = np.unique(row[rows], return_index=True)
             sums[into] += np.add.reduceat(across, starts, axis=0)
@@ -107,8 +120,8 @@ class Texture:
         if self.times_alpha and alpha is not None:
             out[:, :3] = _products(self.srgb)[colors.astype(np.uint16) << 8 | alpha]
         else:
-            out[:, :3] = _table(self.srgb)[colors]
-        out[:, 3:] = 1.0 if alpha is None else _table(False)[alpha]
+            out[:, :3] = byte_values(self.srgb)[colors]
+        out[:, 3:] = 1.0 if alpha is None else byte_values(False)[alpha]
         return out
 
 
@@ -165,19 +178,19 @@ def as_bytes(values: np.ndarray) -> np.ndarray:
     return out
 
 
-def shrunk(texture: Texture, most: int) -> Texture:
-    """`texture`, or the largest copy of it with halved sides that takes at most `most` bytes, if any does."""
+def halvings_within(texture: Texture, size: int, most: int) -> int:
+    """How often to halve the sides of what takes `size` bytes at those of `texture`, for it to take at most `most`, if it can."""
     halvings = 0
     # A copy holds at most four halves a texel, or floats where these do not do.
-    while texture.stored.nbytes > most and (texture.width >> halvings) * (texture.height >> halvings) * 8 > max(most, 8):
+    while size > most and (texture.width >> halvings) * (texture.height >> halvings) * 8 > max(most, 8):
         halvings += 1
-    return texture.smaller(halvings) if halvings else texture
+    return halvings
 
 
 def renamed(texture: Texture, name: str, extension: str, interpolation: str) -> Texture:
     """The same stored values, looked up in another way; what is known of them stays known."""
     made = replace(texture, name=name, extension=extension, interpolation=interpolation)
-    made.__dict__.update({key: texture.__dict__[key] for key in ("ranges", "row_means", "is_grey") if key in texture.__dict__})
+    made.__dict__.update({key: texture.__dict__[key] for key in KEPT if key in texture.__dict__})
     return made
 
 
@@ -198,7 +211,7 @@ def _fits_half(values: np.ndarray) -> bool:
 
 
 @functools.cache
-def _table(srgb: bool) -> np.ndarray:
+def byte_values(srgb: bool) -> np.ndarray:
     """(256,) float32 scene-linear values of bytes."""
     values = np.arange(256, dtype=np.float32) * np.float32(1 / 255)
     return decode_srgb(values) if srgb else values
@@ -207,5 +220,5 @@ def _table(srgb: bool) -> np.ndarray:
 @functools.cache
 def _products(srgb: bool) -> np.ndarray:
     """(65536,) float32 scene-linear values of a byte times an alpha: index 256 * byte + alpha."""
-    values = np.multiply.outer(_table(False), _table(False)).ravel()
+    values = np.multiply.outer(byte_values(False), byte_values(False)).ravel()
     return decode_srgb(values) if srgb else values
