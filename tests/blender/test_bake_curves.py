@@ -360,3 +360,34 @@ def test_a_copy_of_what_was_made_of_a_curve_is_the_users(hidden, registered):
     assert [n.object for n in told if "on an object of its own" in n.reason] == ["Cable"]
     remove_results(bpy.context.scene)
     assert {o.name for o in bpy.data.objects if o.type == "MESH"} == {"mine"}
+
+
+@pytest.mark.parametrize("kind", ("mesh", "nodes", "line"))
+def test_what_gives_no_faces_gets_a_remedy_that_fits(kind, registered):
+    """A bevel is for curves, and not for a mesh or a curve whose nodes make a curve."""
+    add_light("SUN", energy=SUN)
+    mesh(*SQUARE, name="good")
+    host = mesh(*SQUARE, name="Odd") if kind == "mesh" else strip("Odd")
+    if kind == "line":
+        host.data.extrude = 0.0
+    else:
+        tree = bpy.data.node_groups.new("wire", "GeometryNodeTree")
+        for way in ("INPUT", "OUTPUT"):
+            tree.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
+        start, end, line = (tree.nodes.new(k) for k in ("NodeGroupInput", "NodeGroupOutput", "GeometryNodeCurvePrimitiveLine"))
+        tree.links.new(line.outputs[0], end.inputs[0])
+        host.modifiers.new("wire", "NODES").node_group = tree
+    told = [n for n in preflight(bpy.context, asked()) if n.object == "Odd" and "gives no faces" in n.reason]
+    assert [n.remedy.split()[0] for n in told] == ["Give" if kind == "line" else "Have"]
+
+
+def test_a_curve_whose_instances_are_baked_is_not_said_to_have_no_faces(registered):
+    source = collection("source", in_scene=False)
+    made = strip()
+    bpy.context.scene.collection.objects.unlink(made)
+    source.objects.link(made)
+    empty("host", source)
+    add_light("SUN", energy=SUN)
+    for told in (rehearse(bpy.context, asked(instances=True)), baking.bake(asked(instances=True)).notices):
+        assert any("baked as an object of its own" in n.reason for n in told)
+        assert not any("no faces" in n.reason for n in told)

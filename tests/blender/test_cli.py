@@ -184,6 +184,7 @@ def test_bake_picture(tmp_path, method):
         (["--threads", "0"], ["--threads: 0 is not possible", "1 to 256"]),
         (["--threads", "1000"], ["--threads: 1000 is not possible"]),
         (["--size", "480"], ["--size 480", "480x270"]),
+        (["--target", "render", "--size", "99999999x5"], ["width: 99999999 is not possible", "Choose 1 to 65536"]),
         (["--resolution", "0"], ["resolution: 0 is not possible"]),
         (["--objects", "Nobody"], ["Nobody: does not exist", "Floor"]),
         (["--uv-layer", "Nothing"], ['has no UV layer "Nothing"', "leave it empty"]),

@@ -128,3 +128,11 @@ def test_no_camera_is_only_said():
     arrays = extract(bpy.context.evaluated_depsgraph_get())
     assert arrays.camera is None
     assert any("no active camera" in n.reason and n.severity == "info" for n in arrays.warnings)
+
+
+def test_an_empty_as_camera_is_said_once():
+    empty = bpy.data.objects.new("Empty", None)
+    bpy.context.scene.collection.objects.link(empty)
+    bpy.context.scene.camera = empty
+    told = [n.reason for n in extract(bpy.context.evaluated_depsgraph_get()).warnings if n.object == "Empty"]
+    assert len(told) == 1 and NO_PICTURE in told[0]

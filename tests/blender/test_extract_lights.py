@@ -252,3 +252,14 @@ def test_a_sheared_lamp_has_an_upright_frame():
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-6)
     axis = np.array(lamp.matrix_world)[:3, 2]
     np.testing.assert_allclose(frame[2], axis / np.linalg.norm(axis), atol=1e-6)
+
+
+@pytest.mark.parametrize("node", ("ShaderNodeLightFalloff", "ShaderNodeTexNoise"))
+def test_nodes_of_a_lamp_get_a_remedy_for_lamps(node):
+    lamp = add_light("POINT", energy=10.0)
+    lamp.data.use_nodes = True
+    tree = lamp.data.node_tree
+    emission = next(n for n in tree.nodes if n.type == "EMISSION")
+    tree.links.new(tree.nodes.new(node).outputs[0], emission.inputs["Strength"])
+    (said,) = [n for n in extract(bpy.context.evaluated_depsgraph_get()).warnings if "is not understood" in n.reason]
+    assert said.object == lamp.name and said.remedy == "Use an Emission with a constant colour and strength"

@@ -109,3 +109,25 @@ def test_a_bake_that_the_method_refuses_leaves_no_layer_behind(tmp_path, capsys)
     codes = [cli.main([command, *common, "--output", str(tmp_path)], in_blender=True) for command in ("check", "bake")]
     assert codes == [2, 2] and "over its limit" in capsys.readouterr().err
     assert baking.fingerprint() == before and not bpy.data.objects["bad"].data.uv_layers and not bpy.data.objects["bad"].modifiers
+
+
+@pytest.mark.parametrize("by", ("UV layer", "vertex group", "byte colour"))
+def test_check_and_bake_say_the_same_of_a_name_that_is_taken(by, registered):
+    """The result is there under another name, and the next bake says it no more, nor makes another."""
+    obj = mesh(*SQUARE, name="floor")
+    add_light("SUN", energy=2.0)
+    if by == "UV layer":
+        obj.data.uv_layers.new(name="AdjointGI")
+    elif by == "vertex group":
+        obj.vertex_groups.new(name="AdjointGI")
+    else:
+        obj.data.color_attributes.new("AdjointGI", "BYTE_COLOR", "POINT")
+    ask = baking.request(target="attribute", values={"samples": 1})
+    for count in (1, 0):
+        checked = rehearse(bpy.context, ask)
+        made = baking.bake(ask)
+        for told in (checked, made.notices):
+            assert [(n.object, n.severity) for n in told if 'something else called "AdjointGI"' in n.reason] == count * [
+                ("floor", "warning")
+            ]
+        assert made.written == ["attribute AdjointGI.001 of floor"]

@@ -240,7 +240,7 @@ def _place(scene: bpy.types.Scene, request: BakeRequest, found: list[Asked], mad
     if not found and collection is None:
         return
     if collection is None:
-        collection = bpy.data.collections.new(f"{scene.name} GI Objects")
+        collection = bpy.data.collections.new(reals.collection_name(scene))
         collection[REALS] = True
         scene.collection.children.link(collection)
         made.undo.callback(reals.remove, scene)

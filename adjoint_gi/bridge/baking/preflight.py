@@ -35,7 +35,7 @@ from ..props.request import RECEIVERS, BakeRequest
 from ..results import links as targets
 from ..results import real as reals
 from ..results import stored
-from ..results.attribute import check_attribute_target
+from ..results.attribute import check_attribute_target, name_taken
 from ..results.lightmap_uv import NAME, check_target, own_layer
 from ..results.show import unhidden
 from . import outputs
@@ -386,7 +386,9 @@ def _of_meshless(obj: bpy.types.Object) -> Notice:
     error = reals.locked(obj)
     if error is not None:
         return left_out(error.notice)
-    reason = f'is {reals.described(obj)}, whose result is on an object of its own in the collection "GI Objects"'
+    reason = (
+        f'is {reals.described(obj)}, whose result is on an object of its own in the collection "{reals.collection_name(bpy.context.scene)}"'
+    )
     return Notice(obj.name, reason, "", "info")
 
 
@@ -448,7 +450,8 @@ def _attribute_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notic
         if request.new_object or targets.linked(obj, False) is not None or obj.mode == "EDIT":
             return [error.notice]
         return [Notice(obj.name, f"{error.notice.reason}; {SEPARATE}", "", "info")]
-    return []
+    taken = None if request.new_object else name_taken(obj, request.quantity, request.attribute)
+    return [taken] if taken is not None else []
 
 
 def _output(request: BakeRequest) -> list[Notice]:

@@ -76,7 +76,7 @@ def add_request(parser: argparse.ArgumentParser, in_blender: bool) -> None:
     parser.add_argument("--resolution", type=whole, default=DEFAULTS["resolution"], help=f"width and height in texels ({default})")
     parser.add_argument("--atlas", action="store_true", help="one lightmap for all objects")
     parser.add_argument("--uv-layer", default="", metavar="NAME", help="UV layer to bake into (default: one made for the lightmap)")
-    what = "texels a metre of lightmaps, as far as the resolution has room (default: fill the image)"
+    what = "texels a metre of lightmaps, and no more, as far as the resolution has room (default: fill the image)"
     parser.add_argument("--texels-per-metre", type=float, default=DEFAULTS["texels_per_metre"], metavar="N", help=what)
     parser.add_argument("--renew-uvs", action="store_true", help="make the lightmap UVs anew even where they fit")
     parser.add_argument("--margin", type=whole, default=DEFAULTS["margin"], help=f"texels by which charts are extended ({default})")

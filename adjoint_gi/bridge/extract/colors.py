@@ -24,7 +24,10 @@ DEPTH = 100  # nodes between a shader and the end of a chain
 
 
 class Colors:
-    """Reads sockets. `owner` is set to the name of the material, world or light that notices should carry."""
+    """Reads sockets. `owner` is set to the name of the material, world or light that notices should carry, `remedy` to what helps against
+    any node that is not understood; where it is empty, each has its own."""
+
+    remedy = ""
 
     def __init__(self, images: Images, notices: Notices) -> None:
         self.images = images
@@ -68,7 +71,7 @@ class Colors:
         """Note that the node of `place` was not understood and what stands in for it."""
         node = place.socket.node
         label = node.name if node.name.startswith(node.bl_label) else f"{node.name} ({node.bl_label})"
-        self.notices.add(self.owner, f'node "{label}" {reason}; {substitute}', remedy)
+        self.notices.add(self.owner, f'node "{label}" {reason}; {substitute}', self.remedy or remedy)
 
     def _default(self, place: Place) -> Color:
         """The value typed into a socket, or 0 when it has none."""
@@ -103,9 +106,8 @@ class Colors:
         except (NodesTooDeep, NotPolynomial) as e:
             self.notices.add(self.owner, f'socket "{place.socket.name}": {e}; its default value is used', "Simplify the nodes")
         except Unknown as e:
-            self.notices.add(
-                self.owner, f'{e}; the default value of socket "{place.socket.name}" is used', "Bake it to an image or use a constant"
-            )
+            text = f'{e}; the default value of socket "{place.socket.name}" is used'
+            self.notices.add(self.owner, text, self.remedy or "Bake it to an image or use a constant")
         default = self._default(place)
         return luminance(default, self.images) if grey and place.socket.type == "RGBA" else default
 

@@ -27,6 +27,13 @@ from .unsupported import name_rays, name_viewport
 from .visibility import NO_ID, Visibility
 
 MADE_BY_NODES = "a mesh of its nodes"  # what an instance is of whose mesh no object has: its source is its maker
+# What gives faces to an object of each kind that can have some without modifiers.
+FACES = {
+    "CURVE": "Give it a bevel or an extrusion",
+    "FONT": "Type a text, and fill or extrude it",
+    "SURFACE": "Give it points in both directions",
+    "META": "Give an element a larger radius, or lower the threshold",
+}
 FACELESS = {"CAMERA", "LIGHT", "LIGHT_PROBE", "SPEAKER", "ARMATURE", "LATTICE"}
 
 
@@ -69,6 +76,7 @@ class InstanceWalk:
         self._visits: list[Visit] = []
         self._faceless: dict[str, tuple[str, str]] = {}  # reason and remedy, for objects without faces of their own
         self._metas: set[str] = set()
+        self._given: set[str] = set()  # who has faces in the light all the same: by the mesh of an object made of its instance
         self._names: set[str] = set()
         self.lights: list[LightInstance] = []
 
@@ -100,7 +108,8 @@ class InstanceWalk:
     def walked(self) -> Walked:
         """What was copied, of which nothing refers to Blender any more."""
         meshes = {key: copy for key, copy in self._meshes.items() if copy is not None}
-        return Walked(meshes, self._visits, self._bodiless, self._faceless, self._metas)
+        faceless = {name: words for name, words in self._faceless.items() if name not in self._given}
+        return Walked(meshes, self._visits, self._bodiless, faceless, self._metas)
 
     def _visit(self, inst: bpy.types.DepsgraphObjectInstance, depsgraph: bpy.types.Depsgraph, over: Callable[[], bool]) -> bool:
         """Look at one item; returns whether all is copied of it, else it is to be visited again."""
@@ -114,13 +123,17 @@ class InstanceWalk:
                 self._described.add(original)
                 self._describe(original, depsgraph)
             if kind in BECOMES_MESH:
-                self._is_faceless(original.name, original, "gives no faces and is left out", "Give it a bevel or an extrusion")
+                by_nodes = original.type != kind or any(m.type == "NODES" for m in original.modifiers)
+                remedy = "Have its geometry nodes make a mesh, as Curve to Mesh does" if by_nodes else FACES[kind]
+                self._is_faceless(original.name, original, "gives no faces and is left out", remedy)
         if kind == "MESH":
             return self._visit_mesh(inst, obj, original, over)
         if kind == "LIGHT":
             self._visit_light(inst, obj, original)
         elif original.is_missing:
             self._notices.add(original.name, *targets.missing(original))
+        elif kind == "EMPTY" and original == depsgraph.scene.camera:
+            pass  # said of the camera
         elif kind not in FACELESS and kind not in BECOMES_MESH and not (kind == "EMPTY" and original.is_instancer):
             self._is_faceless(original.name, original, f"is of type {_words(kind)}, which has no faces, and is left out")
         return True
@@ -164,6 +177,7 @@ class InstanceWalk:
         own = self._real.get(name)
         if own is not None:
             if not reals.is_whole(own):
+                self._given.add(source)
                 name, source, ids, maker = own.name, own.name, (), reals.maker_name(own)
             matrix = reals.placed(own, matrix)
         if is_flat(matrix):

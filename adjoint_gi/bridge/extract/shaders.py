@@ -209,7 +209,7 @@ def light_emission(data: bpy.types.Light, name: str, notices: Notices) -> Rgb:
     if not uses_nodes(data):
         return (1.0, 1.0, 1.0)
     colors = Colors(Images(notices, bpy.context.scene.frame_current), notices)
-    colors.owner = name
+    colors.owner, colors.remedy = name, "Use an Emission with a constant colour and strength"
     place = surface(data.node_tree, "OUTPUT_LIGHT")
     if place is None:
         notices.add(name, "is a light without an output node for Cycles; it is dark, as there", "Add a Light Output whose target is All")

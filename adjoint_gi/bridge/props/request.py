@@ -105,7 +105,9 @@ class BakeRequest:
             out += _bounds("margin", self.margin, 0, MAX_RESOLUTION)
             out += _bounds("subsamples", self.subsamples, 1, 256)
         if self.target == "render":
-            out += _bounds("width", self.width, 0, 65536) + _bounds("height", self.height, 0, 65536)
+            # 0 stands for the size of the render settings, which nobody types.
+            sizes = (("width", self.width), ("height", self.height))
+            out += [notice for name, value in sizes if value for notice in _bounds(name, value, 1, 65536)]
         if self.target == "attribute" and not self.attribute.strip():
             out.append(_error("attribute", "has no name", "Give a name, such as AdjointGI"))
         return out

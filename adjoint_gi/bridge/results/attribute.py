@@ -177,11 +177,20 @@ def fill_attribute(obj: bpy.types.Object, key: str, domain: str, name: str, colo
     if stored.read(mesh, STORED) is None:
         mesh[STORED] = {}
     mesh[STORED][key] = json.dumps([*others, {"wanted": name, "name": made, "sum": zlib.crc32(data.tobytes())}])
-    taken = None
-    if is_new and made != name:
-        reason = f'has something else called "{name}", so the result is in the attribute "{made}"'
-        taken = Notice(obj.name, reason, "Rename one of them, or choose another name in Output", "warning")
-    return WrittenAttribute(obj, made, taken)
+    return WrittenAttribute(obj, made, _taken(obj, name) if is_new and made != name else None)
+
+
+def name_taken(obj: bpy.types.Object, key: str, name: str) -> Notice | None:
+    """That a new attribute `name` on the mesh of `obj` will get a number, because something else is called so; None where it does not."""
+    if any(entry["wanted"] == name and _find(obj.data, entry) is not None for entry in _entries(obj.data, key)):
+        return None
+    return _taken(obj, name) if name in obj.data.attributes or name in obj.vertex_groups else None
+
+
+def _taken(obj: bpy.types.Object, name: str) -> Notice:
+    """The words about that, the same before the bake and after it."""
+    reason = f'has something else called "{name}", so the attribute of the result gets a number'
+    return Notice(obj.name, reason, "Rename one of them, or choose another name in Output", "warning")
 
 
 def linked_attribute(obj: bpy.types.Object, key: str) -> str | None:
@@ -257,7 +266,9 @@ def _attribute(mesh: bpy.types.Mesh, key: str, domain: str, name: str) -> tuple[
     if old is not None:  # from a bake to the other domain
         was_chosen, title = old.name in chosen, old.name
         mesh.attributes.remove(old)
-    made = mesh.attributes.new(title, "FLOAT_COLOR", domain)
+    # Where a vertex group has the name, Blender adds none.
+    titles = (title, *(f"{title}.{k:03}" for k in range(1, 1000)))
+    made = next((made for made in (mesh.attributes.new(t, "FLOAT_COLOR", domain) for t in titles) if made is not None), None)
     if made is None:
         raise TargetError(mesh.name, f'no attribute "{name}" could be added', "Remove another attribute or choose another name")
     made_name = made.name

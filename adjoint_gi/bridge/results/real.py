@@ -88,6 +88,12 @@ def collection_of(scene: bpy.types.Scene) -> bpy.types.Collection | None:
     return next((c for c in scene.collection.children if stored.read(c, REALS)), None)
 
 
+def collection_name(scene: bpy.types.Scene) -> str:
+    """What it is called, or will be."""
+    collection = collection_of(scene)
+    return collection.name if collection is not None else f"{scene.name} GI Objects"
+
+
 def objects_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """All of them in `scene`. Of several for the same thing it is the first: the others are copies that the user made of it."""
     collection = collection_of(scene)
