@@ -57,7 +57,9 @@ class Interiors:
 
     def _around(self, triangle: np.ndarray) -> Bodies | None:
         """Those of all objects whose boxes meet that of an object asked about, now or before, of which `triangle` (n,) are."""
-        asked = np.bincount(self.world.scene.object[triangle], minlength=len(self._asked)) > 0
+        of, asked = np.zeros(self.world.triangle_count, bool), np.zeros(len(self._asked), bool)
+        of[triangle] = True  # points are many, so no array of theirs is made
+        asked[self.world.scene.object[of]] = True
         if (asked & ~self._asked).any():
             self._asked |= asked
             low, high = self._boxes
