@@ -2307,6 +2307,8 @@ BUGS = (
         "(np.bincount(piece, loose.any(axis=1)) > 0)[piece]",
         "(np.bincount(piece, loose.any(axis=1)) >= 0)[piece]",
         "tests/core/test_inside.py -k overlap",
+    ),
+    Bug(
         "derived images are the same whatever their nodes hold",
         "adjoint_gi/bridge/extract/images.py",
         "for name, value in held.items()}",
