@@ -960,7 +960,7 @@ BUGS = (
     Bug(
         "what lies in a lantern has no light",
         "adjoint_gi/core/receivers/inside.py",
-        "lantern = emits[triangles].any() and",
+        "lantern = emits[body.triangles].any() and",
         "lantern = False and",
         "tests/core/test_inside.py -k lantern",
     ),
