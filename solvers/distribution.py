@@ -102,7 +102,8 @@ class Distribution(Solver):
     def solve(self, world: World, receivers: Receivers, settings: DistributionSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every few batches of samples."""
         emitters = Emitters(world)
-        run = Run(self.spec, world, receivers, settings, emitters, unmet_lamps.notices(emitters))
+        paths = settings.samples * settings.brdf_samples**settings.split_depth
+        run = Run(self.spec, world, receivers, settings, emitters, unmet_lamps.notices(emitters, paths))
         tracer = DistributionTracer(world, emitters, receivers, settings, int(rng.integers(0, 1 << 32)))
         # Lo = Le + light points + BRDF rays (Eq. 5), at the points of every sample.
         yield from run.random_samples(settings.samples, rng, place=tracer.place, batch=tracer.batch)

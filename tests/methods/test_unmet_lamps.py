@@ -9,6 +9,7 @@ from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks import unmet_lamps
+from adjgi.adjoint_gi.core.walks.gathering import batches
 from adjgi.tests import solving
 
 WALKS = ("path_tracing", "distribution", "irradiance_cache")
@@ -70,3 +71,56 @@ def test_nothing_is_said_where_nothing_is_missing(quiet):
 def test_whitted_names_lamps_with_a_size_too():
     (notice,) = unmet_lamps.notices(Emitters(World(room(radius=0.1))), sized=True)
     assert "not found by this method" in notice.reason and "size" not in notice.remedy
+
+
+def paned(light=None, panel=0.0):
+    """A grey room below a pane that the light shines through; panel: half the edge of a square that shines, instead of a lamp."""
+    b = SceneBuilder()
+    b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), diffuse("Grey", 0.5))
+    b.box("Pane", (-2, -2, 1), (2, 2, 1.05), Material("Glass", (Lobe("glass", Color.of(1), 0.0),)), inward=False)
+    if panel:
+        b.quad("Panel", (-panel, -panel, 2), (0, 2 * panel, 0), (2 * panel, 0, 0), diffuse("Glow", 0.0, 10.0))
+    if light:
+        b.light(light)
+    return Emitters(World(b.build()))
+
+
+SUN = Light("Sun", "sun", (1.0, 1.0, 1.0), (0, 0, 3), angle=0.00918)
+
+
+@pytest.mark.parametrize("name", WALKS)
+def test_methods_name_lamps_that_few_of_their_paths_meet(name):
+    receivers = ElementReceivers(Elements(paned(SUN).world, 1.0))
+    options = {"max_length": 4} | ({"rays": 16} if name == "irradiance_cache" else {"samples": 4})
+    (told,) = (w for w in solving.solve(name, receivers, **options).warnings if "by luck alone" in w.reason)
+    assert told.object == "Sun" and "by way of Pane" in told.reason and "Particle Tracing" in told.remedy
+
+
+@pytest.mark.parametrize("lamp", [{"light": SUN}, {"panel": 0.01}, {"light": Light("Lamp", "point", (1, 1, 1), (0, 0, 2), radius=0.01)}])
+def test_a_lamp_is_named_until_enough_paths_meet_it(lamp):
+    """The chance of a path straight below is the lamp's solid angle by pi: of the sun 2.1e-5."""
+    emitters = paned(**lamp)
+    (told,) = unmet_lamps.notices(emitters, 64)
+    assert "of 64 paths" in told.reason
+    expected = (
+        64
+        * {
+            "sun": 2.1e-5,
+            "mesh": 0.5e-4 / 3.14,  # half of it shows in the mean over directions
+            "point": 2.5e-5,
+        }["mesh" if "panel" in lamp else lamp["light"].kind]
+    )
+    assert float(told.reason.split("from a place ")[1].split()[0]) == pytest.approx(expected, rel=0.4)
+    assert not unmet_lamps.notices(emitters, 1 << 17)
+
+
+def test_lamps_that_no_path_meets_are_told_apart_from_those_few_meet():
+    told = unmet_lamps.notices(paned(Light("Lamp", "point", (1, 1, 1), (0, 0, 2))), 64)
+    assert len(told) == 1 and "without size" in told[0].reason
+
+
+def test_few_receivers_tell_their_noise_too():
+    """All samples of few receivers would fit into one pass, from which no noise can be known."""
+    first, *rest = batches(20, 16)
+    assert first[2] == 8 and [b[2] for b in rest] == [8]
+    assert [b[2] for b in batches(20, 1)] == [1]

@@ -310,7 +310,8 @@ def batches(count: int, samples: int, batch: int = SAMPLES_PER_BATCH, even: bool
     of samples stays at powers of two until the limit, where Sobol points are most even.
     """
     index = 0
-    size = max(1, min(MOST_SAMPLES, batch // max(1, count)))
+    # Noise is measured from the differences between passes: two at least.
+    size = max(1, min(MOST_SAMPLES, batch // max(1, count), samples // 2))
     if even:
         size = 1 << (size.bit_length() - 1)
     while index < samples:

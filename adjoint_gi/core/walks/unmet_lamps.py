@@ -1,55 +1,135 @@
-"""Light of lamps that walks from receivers cannot find: by way of perfectly smooth surfaces, from lamps that no ray meets.
+"""Light that walks from receivers never or hardly ever find: by way of perfectly smooth surfaces, from lamps that few rays or none meet.
 
-A light point is drawn for a surface that scatters, and a ray by a mirror goes on in one direction, which a lamp without size is never in.
+A light point is drawn for a surface that scatters, and a ray by a mirror goes on in one direction, which a lamp without size is never in
+and a small lamp hardly ever: such a path is found only where a ray by the cosine happens to lead to the lamp.
 What is missing is measured by particles, and named only where it matters.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..base.errors import Notice
+from ..lights.base import LampKind, ParticleSource
 from ..lights.emission import Emission
 from ..lights.emitters import Emitters
+from ..lights.mesh import MeshLights
 from .mirror_chains import Chains
 
 PARTICLES = 1 << 13
 DEPTH = 8  # surfaces on the way that are followed
 LEAST = 0.01  # share of the light of these lamps below which nothing is said
+FEW = 1.0  # paths of one receiver that meet a lamp, on average, from which the noise shows that it is found
 NAMES = 3
+REMEDY = "Use Particle Tracing or Progressive Multi-Pass"
 
 
-def notices(emitters: Emitters, sized: bool = False) -> tuple[Notice, ...]:
-    """One notice with the share of the light that is missing, the lamps and the surfaces it comes by. `sized`: lamps with a size, too."""
-    world = emitters.world
-    lamps = emitters.lamps
-    sources = [s for i in range(lamps.count) if sized or not lamps.sized[i] for s in [lamps.source(i)] if s.power > 0]
+def notices(emitters: Emitters, paths: float = math.inf, sized: bool = False) -> tuple[Notice, ...]:
+    """Up to two notices, of lamps without and with a size: the share of the light that is missing, the lamps, the surfaces it comes by.
+
+    paths: from one receiver, over which lamps with a size count as found where at least `FEW` meet them. sized: lamps with a size are
+    not found at all, and named with the others.
+    """
+    world, lamps = emitters.world, emitters.lamps
     chains = Chains(world, DEPTH)
-    if not (sources and chains.any):
+    if not chains.any:
         return ()
+    points = [lamps.source(i) for i in range(lamps.count) if sized or not lamps.sized[i]]
+    unmet = chance_light(emitters, chains, points)
+    out = []
+    if unmet is not None and unmet.share >= LEAST:
+        what = "is not found by this method" if sized else "is missing: a lamp without size cannot be met there"
+        out.append(unmet.notice(what, REMEDY + ("" if sized else ", or give the lamp a size")))
+    if paths < math.inf and not sized:
+        bodies = [lamps.source(i) for i in range(lamps.count) if lamps.sized[i]] + MeshLights(world).sources()
+        rare = chance_light(emitters, chains, bodies, paths)
+        if rare is not None and rare.share >= LEAST:
+            what = f"is found by luck alone: of {paths:,.0f} paths from a place {paths * rare.chance:.1g} meet the light there"
+            out.append(rare.notice(what, REMEDY + ", or make the light larger"))
+    return tuple(out)
+
+
+@dataclass(frozen=True, eq=False)
+class ChanceLight:
+    """What paths miss: its share of the light of these lamps that meets anything, the chance that one path from where it arrives meets
+    the lamp, names of the lamps and of the objects it comes by."""
+
+    share: float
+    chance: float
+    lamps: list[str]
+    via: list[str]
+
+    def notice(self, what: str, remedy: str) -> Notice:
+        """Says so of the first lamps and objects."""
+        reason = f"gives light by way of {_listed(self.via)} that {what} ({100 * self.share:.2g} % of what it gives)"
+        return Notice(_listed(self.lamps), reason, remedy, names=tuple(self.lamps))
+
+
+def chance_light(emitters: Emitters, chains: Chains, sources: list[ParticleSource], paths: float = 0.0) -> ChanceLight | None:
+    """Light of `sources` that only rays by the cosine find, and fewer than `FEW` of `paths` of them; None where there is none."""
+    sources = [s for s in sources if s.power > 0]
+    if not sources:
+        return None
+    world = emitters.world
     emission = Emission(world, sources)
     rng = np.random.default_rng(0)
     p = emission.draw(PARTICLES, rng)
     power, owner = p.weight.sum(axis=1), np.asarray(world.scene.object)
-    first, entered, missing = np.zeros(PARTICLES, np.int64), 0.0, np.zeros(PARTICLES)
+    first, missing, met_by = np.zeros(PARTICLES, np.int64), np.zeros(PARTICLES), np.zeros(PARTICLES)
+    entered = np.zeros(len(sources))
+    last, flown = p.origin.astype(np.float64), np.zeros(PARTICLES)
     for met in chains.follow(p.origin, p.direction, p.kind, rng, p.dark):
-        s = met.surface
+        s, row = met.surface, met.row
+        step = s.position - last[row]
+        length = np.linalg.norm(step, axis=1)
+        last[row], flown[row] = s.position, flown[row] + length
         if met.segments == 1:
-            first[met.row] = owner[s.triangle]
-            entered = float(power[met.row].sum())
+            first[row] = owner[s.triangle]
+            entered = np.bincount(p.light[row], power[row], len(sources))
             continue
         scatters = chains.diffuse(s.triangle, s.u, s.v).max(axis=1) > 0
-        missing[met.row] += (p.weight[met.row] * met.weight * met.share).sum(axis=1) * (met.clear & scatters)
-    share = float(missing.sum()) / entered if entered else 0.0
-    if share < LEAST:
-        return ()
+        found = (p.weight[row] * met.weight * met.share).sum(axis=1) * (met.clear & scatters)
+        missing[row] += found
+        # The chance of a ray by the cosine, from here back along the same surfaces, to meet the lamp in its image.
+        cosine = np.abs(np.einsum("ij,ij->i", step, s.ns)) / np.maximum(length, 1e-12)
+        image = p.origin[row] + p.direction[row] * flown[row, None]
+        reached = np.minimum(cosine / np.pi * solid_angles(sources, p.light[row], image, flown[row]), 1)
+        met_by[row] += found * reached * np.minimum(met.weight.mean(axis=1), 1)
+    # Lamps of which enough paths meet are found: their light is noisy at worst, and noise is measured.
+    chance = np.bincount(p.light, met_by, len(sources)) / np.maximum(np.bincount(p.light, missing, len(sources)), 1e-300)
+    lost = paths * chance < FEW
+    missing *= lost[p.light]
+    total, entered = float(missing.sum()), float(entered[lost].sum())
+    if total <= 0 or entered <= 0:
+        return None
     by_object = np.bincount(first, missing, len(world.scene.objects))
     via = [world.scene.objects[i].source for i in np.argsort(-by_object, kind="stable") if by_object[i] > LEAST * by_object.sum()]
     names = [emission.names[i] for i in np.unique(p.light[missing > 0])]
-    what = "is not found by this method" if sized else "is missing: a lamp without size cannot be met there"
-    remedy = "Use Particle Tracing or Progressive Multi-Pass" + ("" if sized else ", or give the lamp a size")
-    reason = f"gives light by way of {_listed(via)} that {what} ({100 * share:.2g} % of what it gives)"
-    return (Notice(_listed(names), reason, remedy, names=tuple(names)),)
+    return ChanceLight(total / entered, float((met_by * lost[p.light]).sum()) / total, names, via)
+
+
+def solid_angles(sources: list[ParticleSource], light: np.ndarray, at: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """(n,) float64 rough solid angles of sources `light` (n,) as seen from `at` (n, 3), `distance` (n,) m from where light started."""
+    out = np.zeros(len(light))
+    for index, source in enumerate(sources):
+        rows = np.flatnonzero(light == index)
+        if not source.kind.sized or not len(rows):
+            continue
+        if isinstance(source.kind, LampKind):
+            # Points of lamps are drawn with a density per solid angle, which is the reciprocal of what they fill.
+            half = np.full(len(rows), np.float32(0.5))
+            towards = np.ascontiguousarray(at[rows].T, np.float32)
+            out[rows] = 1 / np.maximum(source.kind.sample(np.full(len(rows), source.index), towards, half, half).pdf_w, 1e-12)
+        else:
+            # Sheets that shine by the cosine show half of their area in the mean over directions.
+            cells = source.kind.objects[source.index]
+            area = cells.full / (2 * np.pi)
+            lit = cells.power.sum() ** 2 / max(float((cells.power**2 / np.maximum(area, 1e-300)).sum()), 1e-300)
+            out[rows] = 0.5 * lit / np.maximum(distance[rows], 1e-12) ** 2
+    return np.minimum(out, 2 * np.pi)
 
 
 def _listed(names: list[str]) -> str:
