@@ -65,6 +65,17 @@ def test_a_colour_that_recurs_is_computed_once(monkeypatch):
     assert sum(seen) == 2 * 21, "once to see whether bytes do"
 
 
+def test_halves_are_derived_as_halves(monkeypatch):
+    """As a ramp is of the luminance of an image of bytes."""
+    grey = Texture("a", np.random.default_rng(2).random((37, 21, 1)).astype(np.float16))
+    right = mixed(grey.pixels.reshape(-1, 4)).reshape(37, 21, 4)
+    for block in (10**6, 100):
+        monkeypatch.setattr(module, "BLOCK", block)
+        made = derived(grey, mixed)
+        np.testing.assert_allclose(made.pixels, right, rtol=HALF, atol=1e-7)
+        assert made.stored.dtype == np.float16 and made.stored.shape == (37, 21, 1)
+
+
 def test_what_halves_cannot_hold_is_kept_as_floats():
     def bright(flat):
         flat[:, :3] *= 1e6

@@ -18,7 +18,7 @@ def derived(texture: Texture, pixels: Pixels) -> Texture:
     """
     if texture.stored.dtype == np.float32:
         return texture.with_pixels(np.concatenate([_applied(pixels, part) for _, part in texture.blocks()]))
-    if texture.stored.dtype == np.uint8 and texture.stored.shape[2] < 4 and texture.height * texture.width > BLOCK:
+    if texture.stored.itemsize * texture.stored.shape[2] < 4 and texture.height * texture.width > BLOCK:
         return _by_colors(texture, pixels)
     return _value_by_value(texture, pixels)
 
@@ -37,25 +37,26 @@ def _value_by_value(texture: Texture, pixels: Pixels) -> Texture:
 
 
 def _by_colors(texture: Texture, pixels: Pixels) -> Texture:
-    """The same of up to three channels: every colour that occurs becomes a texel of a smaller image."""
-    shifts = np.arange(texture.stored.shape[2]) * 8
+    """The same where a texel takes up to three bytes: every colour that occurs becomes a texel of a smaller image."""
+    raw = texture.stored.view(np.uint8)
+    shifts = np.arange(raw.shape[2]) * 8
     occurs = np.zeros(1 << 8 * len(shifts), bool)
     for rows in texture.strips():
-        occurs[_codes(texture.stored[rows])] = True
+        occurs[_codes(raw[rows])] = True
     codes = np.flatnonzero(occurs)
-    colors = (codes[:, None] >> shifts & 255).astype(np.uint8)
+    colors = (codes[:, None] >> shifts & 255).astype(np.uint8).view(texture.stored.dtype)
     made = _value_by_value(replace(texture, stored=colors[:, None]), pixels)
     number = np.cumsum(occurs, dtype=np.int32) - 1
     stored = np.empty((texture.height, texture.width, made.stored.shape[2]), made.stored.dtype)
     for rows in texture.strips():
-        stored[rows] = made.stored[number[_codes(texture.stored[rows])], 0]
+        stored[rows] = made.stored[number[_codes(raw[rows])], 0]
     out = replace(made, stored=stored)
     out.__dict__.update(ranges=made.ranges, is_grey=made.is_grey)  # all of its values are there, and no others
     return out
 
 
 def _codes(colors: np.ndarray) -> np.ndarray:
-    """A number (h, w) int32 for each colour (h, w, c) uint8, its first channel the lowest byte."""
+    """A number (h, w) int32 for each colour (h, w, c) uint8, its first byte the lowest."""
     out = colors[..., 0].astype(np.int32)
     for c in range(1, colors.shape[2]):
         out |= colors[..., c].astype(np.int32) << 8 * c
