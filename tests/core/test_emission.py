@@ -434,11 +434,11 @@ def test_cells_of_a_textured_triangle_cover_it_once():
 
 
 def test_no_part_of_a_picture_is_left_out_for_being_dark_where_it_was_looked_at():
-    """Bright spots may lie between the looks, so dark cells and triangles get a few particles and light points all the same."""
+    """Rounding or a product of pictures may hide light, so dark cells get a few particles; triangles that are dark for sure get none."""
     pixels = np.zeros((8, 8, 4), np.float32)
     pixels[0, 7, :3] = 1  # in the first of both triangles
     emission = Emission(textured_panel(pixels))
-    assert emission.mesh.triangles.tolist() == [0, 1] and (emission.mesh.density > 0).all()
+    assert emission.mesh.triangles.tolist() == [0] and (emission.mesh.density > 0).tolist() == [True, False]
     (cells,) = emission.mesh.objects
     radiance = cells.power / cells.full
     assert (cells.flux.sum(axis=1) == 0).any() and radiance.min() > 0.04 * np.average(radiance, weights=cells.full)

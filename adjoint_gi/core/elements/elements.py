@@ -16,6 +16,7 @@ from ..receivers.base import POINTS_PER_CHUNK, Points, Receivers
 from ..receivers.inside import Interiors
 from ..sampling.additive import STEPS, additive
 from ..scene.arrays import SceneArrays
+from ..scene.mean_emission import mean_emission
 from ..scene.passing import MOST_GREY, Passing
 from ..scene.world import Surface, World
 from .smooth import Nodes
@@ -190,7 +191,7 @@ class Elements:
         self.centroid = self.position(np.arange(self.count), middle, middle)
         shading = self.world.shading
         self.albedo = self.mean(shading.albedo, shading.albedo_varies)
-        self.emitted = np.pi * self.mean(shading.emission, shading.emission_varies)
+        self.emitted = np.pi * (self._mean_emission() if shading.emission_varies else self.mean(shading.emission, False))
         passing = self.world.passing
         self.stays = None if passing is None else self._stays(passing)
 
@@ -219,6 +220,30 @@ class Elements:
                 for y in steps:
                     out[index] += field(*self.point(index, np.full(len(index), x), np.full(len(index), y)))
         return out / len(steps) ** 2
+
+    def _mean_emission(self) -> np.ndarray:
+        """(count, 3) float64 W m-2 sr-1: of triangles as they are, of cells of a parallelogram in each of its two triangles."""
+        out = np.zeros((self.count, 3))
+        glows = self.world.shading.emissive()[self.patch_triangle[self.patch]]
+        glows[self.is_quad] |= self.world.shading.emissive()[self.patch_second[self.patch[self.is_quad]]]
+        every = np.flatnonzero(glows & ~self.is_quad)
+        s, t = (np.stack(x, axis=1) for x in zip(*(self._st(every, a, b) for a, b in ((0, 0), (1, 0), (0, 1))), strict=True))
+        out[every] = self._over(self.patch_triangle[self.patch[every]], s, t)
+        every = np.flatnonzero(glows & self.is_quad)
+        p, (s0, t0), (s1, t1) = self.patch[every], self._st(every, 0, 0), self._st(every, 1, 1)
+        for second, cell in ((False, (s0, t0, s1, t1)), (True, (1 - s1, 1 - t1, 1 - s0, 1 - t0))):
+            s, t, share = _below_diagonal(*cell)
+            some = np.flatnonzero(share > 0)
+            which = (self.patch_second if second else self.patch_triangle)[p[some]]
+            s, t = (1 - s[some], 1 - t[some]) if second else (s[some], t[some])
+            out[every[some]] += share[some, None] * self._over(which, s, t)
+        return out
+
+    def _over(self, triangle: np.ndarray, s: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """(n, 3) mean radiance over polygons with corners at patch coordinates s, t (n, k)."""
+        m = self._to_uv[triangle][..., None]
+        ds, dt = s - m[:, 4], t - m[:, 5]
+        return mean_emission(self.world.shading, triangle, m[:, 0] * ds + m[:, 1] * dt, m[:, 2] * ds + m[:, 3] * dt)
 
     def _st(self, element: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Patch coordinates of local coordinates a, b in 0..1; a triangle folds the half beyond its long edge back."""
@@ -377,3 +402,12 @@ def parallelograms(scene: SceneArrays) -> np.ndarray:
     good = opposite & (gap <= 1e-5 * length) & (np.asarray(scene.material)[a] == np.asarray(scene.material)[b])
     partner[a[good]] = b[good]
     return partner
+
+
+def _below_diagonal(s0: np.ndarray, t0: np.ndarray, s1: np.ndarray, t1: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Corners s, t (n, 5) in order of what rectangles have below s + t = 1, and its share (n,) of them, 0 where there is none."""
+    right, top = np.minimum(s1, 1 - t0), np.minimum(t1, 1 - s0)
+    s = np.stack([s0, right, right, np.maximum(s0, np.minimum(s1, 1 - t1)), s0], axis=1)
+    t = np.stack([t0, t0, np.minimum(t1, np.maximum(t0, 1 - s1)), top, top], axis=1)
+    area = (s * np.roll(t, -1, axis=1) - t * np.roll(s, -1, axis=1)).sum(axis=1) / 2
+    return s, t, np.where(s0 + t0 < 1 - 1e-9, area / ((s1 - s0) * (t1 - t0)), 0)

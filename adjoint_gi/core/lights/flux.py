@@ -42,7 +42,7 @@ _MEASURED: WeakKeyDictionary[World, LightFlux] = WeakKeyDictionary()  # a world 
 
 
 def light_flux(world: World, mesh: MeshLights, lamps: Lamps, background: Background) -> LightFlux:
-    """Of a world with its lights. Powers are exact but for textured emission; what meets a surface is found by rays, always the same, so
+    """Of a world with its lights. Powers are exact but for products of images; what meets a surface is found by rays, always the same, so
     it is found once for each world."""
     if world not in _MEASURED:
         _MEASURED[world] = _measure(world, mesh, lamps, background)

@@ -6,25 +6,24 @@ Gathering picks a triangle and a point on it. Shooting picks an object and a cel
 from __future__ import annotations
 
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ..sampling import maps as sampling
-from ..sampling.additive import STEPS, additive
 from ..sampling.maps import columns, cosine_directions, dot
 from ..scene.faces import points
+from ..scene.mean_emission import mean_emission
 from ..scene.world import World
+from . import patches
 from .base import LightKind, Rays, Sample
 from .patches import Patches
 from .places import Outlook
 
-TEXTURED_POINTS = 64  # points at which a textured triangle's mean emission is measured
 # Textured triangles are divided into about this many cells altogether, so that bright texels get their share of particles.
 CELLS = 1 << 15
-# A cell is taken at no less than this share of the mean, since a bright spot between its samples must still be found.
+# A cell is taken at no less than this share of the mean, since rounding or a product of images may hide light in it.
 FLOOR = 0.05
-# Where a cell's emission is looked at to estimate its power: barycentrics of a small triangle.
-LOOKS = np.array([(1 / 6, 1 / 6), (2 / 3, 1 / 6), (1 / 6, 2 / 3), (1 / 3, 1 / 3)])
 
 
 class MeshLights(LightKind):
@@ -37,7 +36,7 @@ class MeshLights(LightKind):
 
     def __init__(self, world: World) -> None:
         self.world = world
-        mean = _mean_emission(world)
+        mean, self._patches = _looked_at(world)
         flux = 2 * np.pi * world.area * mean.sum(axis=1)  # both sides
         self.triangles = np.flatnonzero(flux > 0).astype(np.int32)
         self.number = np.zeros(world.triangle_count, np.int32)  # of each triangle among those that emit
@@ -47,7 +46,6 @@ class MeshLights(LightKind):
         rows = world.rows[self.triangles]
         self._corner, self._e1, self._e2, self._ng = (columns(rows[:, a : a + 3]) for a in (0, 3, 6, 9))
         self._radiance = None if world.shading.emission_varies else columns(mean[self.triangles])
-        self._patches = Patches(world, self.triangles) if world.shading.emission_varies and self.any else None
         self.set_pick(np.ones(len(self.triangles)))
 
     @property
@@ -120,7 +118,7 @@ class MeshLights(LightKind):
 
     @cached_property
     def flux(self) -> np.ndarray:
-        """(objects, 3) float64 W; of a textured emission a quadrature, although what is shot has the exact values."""
+        """(objects, 3) float64 W; a quadrature of products of images, exact of all else."""
         return np.array([x.flux.sum(axis=0) for x in self.objects]).reshape(-1, 3)
 
     def flux_of_triangles(self) -> np.ndarray:
@@ -187,12 +185,9 @@ class Cells:
         self.base_u, self.base_v = i / k, j / k
 
     def _radiance_of_cells(self) -> np.ndarray:
-        """(cells, 3) float64 mean emitted radiance, exact where constant."""
-        total = np.zeros((len(self.triangle), 3))
-        looks = LOOKS if not self.constant.all() else LOOKS[3:]
-        for a, b in looks:
-            total += self._emission_at(self.triangle, self.base_u + self.scale * a, self.base_v + self.scale * b)
-        return total / len(looks)
+        """(cells, 3) float64 mean emitted radiance."""
+        u, v = (x[:, None] + self.scale[:, None] * np.array(at) for x, at in ((self.base_u, (0, 1, 0)), (self.base_v, (0, 0, 1))))
+        return mean_emission(self.world.shading, self.triangle, u, v)
 
     def _emission_at(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         return self.world.shading.emission(triangle, u.astype(np.float32), v.astype(np.float32))
@@ -215,23 +210,30 @@ class Cells:
         return Rays(origin, direction, self._emission_at(self.triangle[cell], u, v) * self.full[cell, None])
 
 
-def _mean_emission(world: World) -> np.ndarray:
-    """(nt, 3) float64: mean emitted radiance of every triangle; exact where it is constant."""
-    out = np.zeros((world.triangle_count, 3))
+_LOOKED_AT: WeakKeyDictionary[World, tuple[np.ndarray, Patches | None]] = WeakKeyDictionary()  # a world does not change once made
+
+
+def _looked_at(world: World) -> tuple[np.ndarray, Patches | None]:
+    """(nt, 3) float64 mean emitted radiance of every triangle, and the patches of those that emit where emission varies; once a world."""
+    if world not in _LOOKED_AT:
+        _LOOKED_AT[world] = _look(world)
+    return _LOOKED_AT[world]
+
+
+def _look(world: World) -> tuple[np.ndarray, Patches | None]:
+    mean = np.zeros((world.triangle_count, 3))
     triangles = np.flatnonzero(world.shading.emissive() & (world.area > 0)).astype(np.int32)
     if not len(triangles):
-        return out
-    points = 1
-    if world.shading.emission_varies:
-        points = TEXTURED_POINTS
-    # A fixed lattice on the triangle; a lattice of one point is the middle.
-    k = np.arange(points)
-    u, v = (k + 0.5) / points, additive(k, STEPS[1], 0.5)[0]
-    for a, b in zip(*sampling.triangle(u.astype(np.float32), v.astype(np.float32)), strict=True):
-        n = len(triangles)
-        out[triangles] += world.shading.emission(triangles, np.full(n, a, np.float32), np.full(n, b, np.float32))
-    out /= points
-    if points > 1:
-        # A small bright spot may lie between the points: no textured triangle is left out of light sampling.
-        out[triangles] = np.maximum(out[triangles], 0.01 * out[triangles].mean(axis=0))
-    return out
+        return mean, None
+    if not world.shading.emission_varies:
+        middle = np.full(len(triangles), 1 / 3, np.float32)
+        mean[triangles] = world.shading.emission(triangles, middle, middle)
+        return mean, None
+    varies = np.array([not c.is_constant for c in world.shading.emission_colors])[world.scene.material[triangles]]
+    side = patches.sides(world.area[triangles], varies)
+    radiance = patches.radiance(world, triangles, side)
+    own = np.repeat(np.arange(len(side)), 2 * side**2)
+    for c in range(3):
+        mean[triangles, c] = np.bincount(own, radiance[:, c], len(side)) / side**2
+    lit = mean[triangles].sum(axis=1) > 0
+    return mean, Patches(side[lit], radiance[lit[own]].sum(axis=1)) if lit.any() else None

@@ -5,50 +5,67 @@ from __future__ import annotations
 import numpy as np
 
 from ..sampling import maps as sampling
+from ..scene.mean_emission import mean_emission
 from ..scene.world import World
 
 PATCHES = 1 << 16  # of all triangles together, about
 MOST_SIDE = 64
-FLOOR = 0.05  # share of its triangle's mean emission at which a patch is taken at least, as a bright spot may lie between its looks
-LOOKS = np.array([(1 / 6, 1 / 6), (2 / 3, 1 / 6), (1 / 6, 2 / 3), (1 / 3, 1 / 3)])
+FLOOR = 0.05  # share of its triangle's mean emission at which a patch is taken at least, as rounding or a product of images may hide light
+
+
+def sides(area: np.ndarray, varies: np.ndarray) -> np.ndarray:
+    """(k,) int64 patches a side of triangles of `area` (k,): several where their emission `varies` (k,)."""
+    area = area * varies
+    wanted = np.sqrt(PATCHES * area / max(area.sum(), 1e-300))
+    return np.clip(wanted, 1, MOST_SIDE).astype(np.int64)
+
+
+def numbered(side: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Of every patch, (n,): its triangle's place in `side`, i, j, down, and whether it exists."""
+    count = 2 * side**2
+    own = np.repeat(np.arange(len(side)), count)
+    number = np.arange(len(own)) - np.repeat(np.cumsum(count) - count, count)
+    k = side[own]
+    down = number & 1
+    i, j = (number >> 1) // k, (number >> 1) % k
+    return own, i, j, down, i + j + down < k
+
+
+def radiance(world: World, triangles: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """(n, 3) float64 mean radiance of every patch of `triangles` (k,), 0 of those that do not exist."""
+    own, i, j, down, exists = (x[..., None] for x in numbered(side))
+    exists = exists[:, 0]
+    u, v = _corner(i, j, down, side[own], np.array([0, 1, 0]), np.array([0, 0, 1]))
+    out = np.zeros((len(own), 3))
+    out[exists] = mean_emission(world.shading, triangles[own[exists, 0]], u[exists], v[exists])
+    return out
+
+
+def _corner(
+    i: np.ndarray, j: np.ndarray, down: np.ndarray, side: np.ndarray, a: np.ndarray, b: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    return np.where(down, i + 1 - a, i + a) / side, np.where(down, j + 1 - b, j + b) / side
 
 
 class Patches:
-    """Small triangles of `triangles` (k,), side x side of each.
+    """Small triangles of k triangles, side x side of each.
 
     A patch (i, j, down) has barycentrics (i + a, j + b) / side, or (i + 1 - a, j + 1 - b) / side where it stands upside down; number
     (i side + j) 2 + down. Those beyond the diagonal have no chance.
     """
 
-    def __init__(self, world: World, triangles: np.ndarray) -> None:
-        area = world.area[triangles]
-        wanted = np.sqrt(PATCHES * area / max(area.sum(), 1e-300))
-        self.side = np.clip(wanted, 1, MOST_SIDE).astype(np.int64)
-        count = 2 * self.side**2
-        self._start = np.concatenate([[0], np.cumsum(count)])
-        own = np.repeat(np.arange(len(triangles)), count)
-        number = np.arange(len(own)) - self._start[own]
-        side = self.side[own]
-        down = number & 1
-        i, j = (number >> 1) // side, (number >> 1) % side
-        exists = i + j + down < side
-        light = np.zeros(len(own))
-        for a, b in LOOKS:
-            u, v = self._corner(i, j, down, side, a, b)
-            some = np.flatnonzero(exists)
-            at = (x[some].astype(np.float32) for x in (u, v))
-            light[some] += world.shading.emission(triangles[own[some]], *at).sum(axis=1)
-        mean = np.bincount(own, light, len(triangles)) / self.side**2
+    def __init__(self, side: np.ndarray, light: np.ndarray) -> None:
+        """`side` (k,) of each triangle, `light` (sum of 2 side^2,) what patches emit per area."""
+        self.side = side
+        own, i, j, down, exists = numbered(side)
+        self._start = np.concatenate([[0], np.cumsum(2 * side**2)])
+        mean = np.bincount(own, light * exists, len(side)) / side**2
         light = np.where(exists, np.maximum(light, FLOOR * mean[own]), 0.0)
-        total = np.bincount(own, light, len(triangles))
+        total = np.bincount(own, light, len(side))
         light[exists] = np.where(total[own] > 0, light, 1.0)[exists]
         self._cum = np.concatenate([[0.0], np.cumsum(light)])
         # Density over that of uniform points: a patch has 1 / side^2 of the area.
-        self._density = (light / np.maximum(np.bincount(own, light, len(triangles)), 1e-300)[own] * side**2).astype(np.float32)
-
-    @staticmethod
-    def _corner(i: np.ndarray, j: np.ndarray, down: np.ndarray, side: np.ndarray, a: float, b: float) -> tuple[np.ndarray, np.ndarray]:
-        return np.where(down, i + 1 - a, i + a) / side, np.where(down, j + 1 - b, j + b) / side
+        self._density = (light / np.maximum(np.bincount(own, light, len(side)), 1e-300)[own] * side[own] ** 2).astype(np.float32)
 
     def sample(self, k: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Barycentrics (n,) of points on triangles `k` (n,) and their density (n,) over that of uniform points."""
@@ -60,7 +77,7 @@ class Patches:
         inside = np.clip((at - self._cum[patch]) / np.maximum(width, 1e-300), 0, 1)
         number, side = patch - self._start[k], self.side[k]
         a, b = sampling.triangle(inside.astype(np.float32), v)
-        x, y = self._corner((number >> 1) // side, (number >> 1) % side, number & 1, side, a, b)
+        x, y = _corner((number >> 1) // side, (number >> 1) % side, number & 1, side, a, b)
         return x.astype(np.float32), y.astype(np.float32), self._density[patch]
 
     def density(self, k: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -22,6 +22,11 @@ class Shading:
         self._emission = ColorField([m.total("emission") for m in scene.materials], scene)
 
     @property
+    def emission_colors(self) -> list[Color]:
+        """Of each material, not clamped."""
+        return self._emission.colors
+
+    @property
     def albedo_varies(self) -> bool:
         """Whether the reflectance varies inside a triangle."""
         return bool(self._albedo.varying)
@@ -143,6 +148,21 @@ def evaluate(color: Color, scene: SceneArrays, triangle: np.ndarray, u: np.ndarr
 
 def source_at(source: Source, scene: SceneArrays, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """(n, 3) float32 value of one image or colour attribute; an object without the layer gives 0 (UV) or black (attribute)."""
+    if source.kind == "image":
+        values = sample_texture(scene.textures[source.texture], image_coordinates(source, scene, triangle, u, v))
+    else:
+        values = _layer_at(source, scene, triangle, u, v)
+    return np.repeat(values[:, 3:4], 3, axis=1) if source.alpha else values[:, :3]
+
+
+def image_coordinates(source: Source, scene: SceneArrays, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(n, 2) float32 where an image is looked up."""
+    m = np.asarray(source.transform, np.float32)
+    return _layer_at(source, scene, triangle, u, v) @ m[:, :2].T + m[:, 2]
+
+
+def _layer_at(source: Source, scene: SceneArrays, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(n, 2) float32 UVs or (n, 4) float32 colours of the layer of a source."""
     layer = "uvs" if source.kind == "image" else "colors"
     width = 2 if layer == "uvs" else 4
     values = np.zeros((len(triangle), width), np.float32)
@@ -157,8 +177,4 @@ def source_at(source: Source, scene: SceneArrays, triangle: np.ndarray, u: np.nd
         corner = data[triangle[which] - obj.first_triangle]
         a, b = u[which, None], v[which, None]
         values[which] = corner[:, 0] * (1 - a - b) + corner[:, 1] * a + corner[:, 2] * b
-    if source.kind == "image":
-        m = np.asarray(source.transform, np.float32)
-        st = values @ m[:, :2].T + m[:, 2]
-        values = sample_texture(scene.textures[source.texture], st)
-    return np.repeat(values[:, 3:4], 3, axis=1) if source.alpha else values[:, :3]
+    return values
