@@ -33,7 +33,7 @@ class _Lines:
 
 
 def polygon_means(texture: Texture, st: np.ndarray, channels: tuple[int, ...] = (0, 1, 2, 3)) -> tuple[np.ndarray, np.ndarray]:
-    """Means (n, c) float64 of `channels` of an image over convex polygons: corners `st` (n, k, 2), image coordinates, in order, some repeated.
+    """Means (n, c) float64 of `channels` of an image over convex polygons, of corners `st` (n, k, 2) in order, some repeated.
 
     Also (n,) bool: which could be measured; polygons that are flat in the image have no mean of this kind and 0.
     """
