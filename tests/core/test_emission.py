@@ -11,7 +11,7 @@ from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights import mesh
 from adjgi.adjoint_gi.core.lights.emission import Emission
 from adjgi.adjoint_gi.core.lights.outgoing import cone_directions, reject
-from adjgi.adjoint_gi.core.lights.patches import Patches, radiance, sides
+from adjgi.adjoint_gi.core.lights.patches import Patches, radiance
 from adjgi.adjoint_gi.core.sampling.maps import cosine_directions, disk
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, RayKind, Source, Term, Texture
 from adjgi.adjoint_gi.core.scene.world import World
@@ -491,10 +491,8 @@ def test_light_points_on_pictures_know_their_density():
     """Points drawn on a picture have the density that is told for them; dark parts, which may hide a bright spot, are drawn, too."""
     pixels = np.zeros((8, 8, 4), np.float32)
     pixels[5, 2:4] = 1
-    world, rng = textured_panel(pixels), np.random.default_rng(1)
-    triangles = np.arange(2)
-    side = sides(world.area[triangles], np.ones(2, bool))
-    patches = Patches(side, radiance(world, triangles, side).sum(axis=1))
+    world, rng, side = textured_panel(pixels), np.random.default_rng(1), np.full(2, 64)
+    patches = Patches(side, radiance(world, np.arange(2), side).sum(axis=1))
     k = rng.integers(0, 2, 20_000)
     u, v, density = patches.sample(k, rng.random(len(k)), rng.random(len(k), np.float32))
     assert (np.abs(patches.density(k, u, v) / density - 1) < 1e-5).mean() > 0.999  # but for points on the edge of two parts
