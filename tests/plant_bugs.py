@@ -2342,6 +2342,8 @@ BUGS = (
         "agree = start[one] == end[other]",
         "agree = start[one] >= 0",
         "tests/methods/test_baked_sides.py -k surface",
+    ),
+    Bug(
         "lamps that few paths meet are taken for found",
         "adjoint_gi/core/walks/unmet_lamps.py",
         "lost = paths * chance < FEW",
