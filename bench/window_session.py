@@ -123,6 +123,7 @@ def session():
     yield from baked()
     yield from balanced_and_shown()
     yield from rendered()
+    yield from picture()
     yield from compared()
     yield from quit_while_baking()
 
@@ -232,8 +233,20 @@ def rendered():
     yield 2 * PAUSE
     save_area("render_properties", area)
     area.ui_type = "VIEW_3D"
-    yield 3 * PAUSE
+    yield PAUSE
+
+
+def picture():
+    """A picture by the button, whose numbers are radiance."""
+    bakes, state = runner(), settings()
+    state.method, state.target = "path_tracing", "render"
+    state.settings_path_tracing.samples = 4
+    yield PAUSE
+    operator("bake")
+    yield from wait(lambda: not bakes.running)
+    yield 8 * PAUSE
     save_panel("panel_picture")
+    state.target = "texture"
 
 
 def compared():

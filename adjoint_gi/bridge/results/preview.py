@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import bpy
 
@@ -32,14 +33,7 @@ def show(objects: Sequence[bpy.types.Object], key: str, *, attributes: bool = Fa
     sources = []
     for obj in objects:
         targets.check_object(obj)
-        entry = targets.link(obj, key)
-        name = linked_attribute(obj, key) or ""
-        if not attributes and entry is not None and entry.get("image") is not None:
-            sources.append((obj, entry, ""))
-        elif name and name in obj.data.color_attributes:
-            sources.append((obj, None, name))
-        else:
-            raise TargetError(obj.name, f"has no result for {key}", "Bake it first")
+        sources.append((obj, *_source(obj, key, attributes)))
         if not obj.material_slots:
             targets.check_mesh(obj)
 
@@ -52,11 +46,10 @@ def show(objects: Sequence[bpy.types.Object], key: str, *, attributes: bool = Fa
             obj.data[ADDED] = True
         originals = [slot.material for slot in obj.material_slots]
         _remember(obj)
-        obj[STATE]["key"] = key
+        obj[STATE]["key"], obj[STATE]["source"] = key, _named(entry, name)
         # Step 3: ours in their place. Slots that would be shown alike share one: each new one makes Blender look through all others.
-        source = name if entry is None else place(entry)
         for slot, material in zip(obj.material_slots, originals, strict=True):
-            alike = (material and material.session_uid, source)
+            alike = (material and material.session_uid, _named(entry, name))
             if alike not in made:
                 made[alike] = make_material(key, material, entry, name)
                 made[alike][OURS] = True
@@ -86,9 +79,25 @@ def restore(objects: Sequence[bpy.types.Object]) -> int:
 def follow(objects: Sequence[bpy.types.Object], key: str, *, attributes: bool = False) -> None:
     """Those of `objects` that show their result for `key` show what it is now: a bake may have given them another image, UV layer,
     place in an atlas, or name."""
-    shown_now = [o for o in objects if (state := stored.read(o, STATE)) is not None and state.get("key") == key]
-    if shown_now:
-        show(shown_now, key, attributes=attributes)
+    showing = [(o, state) for o in objects if (state := stored.read(o, STATE)) is not None and state.get("key") == key]
+    changed = [o for o, state in showing if state.get("source") != _named(*_source(o, key, attributes))]
+    if changed:
+        show(changed, key, attributes=attributes)
+
+
+def _source(obj: bpy.types.Object, key: str, attributes: bool) -> tuple[Any | None, str]:
+    """The stored link of the image, or None and the name of the colour attribute, that hold the result; raises TargetError."""
+    entry, name = targets.link(obj, key), linked_attribute(obj, key) or ""
+    if not attributes and entry is not None and entry.get("image") is not None:
+        return entry, ""
+    if name and name in obj.data.color_attributes:
+        return None, name
+    raise TargetError(obj.name, f"has no result for {key}", "Bake it first")
+
+
+def _named(entry: Any | None, name: str) -> str:
+    """What `_source` has found, as text that is equal where a preview would look the same."""
+    return name if entry is None else str(place(entry))
 
 
 def shown(obj: bpy.types.Object) -> bool:
