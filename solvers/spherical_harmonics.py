@@ -124,7 +124,7 @@ class SphericalHarmonics(Solver):
         state.illuminate(moments)
         run.check_lit(moments)
         if run.scattering.passes.any():
-            reason = f"light that refracts is blurred by harmonics of order {s.order}: a lamp seen through a pane gave up to 9 % too little"
+            reason = f"light that refracts is blurred by harmonics of order {s.order}: lamps behind panes gave up to 25 % too little"
             run.warn(reason, "Raise order, or take Directional Radiosity or Particle Tracing where light comes through glass")
 
         # 3. Groups of sides, most unshot flux first: L(j, wo) += sum_ab h_a(wo) M_ab dq(j, b) (Eq. 13 by direction).
