@@ -163,7 +163,9 @@ class MultiPassRun:
             yield 0.2 + 0.1 * share, f"Receivers, {share:.0%}"
         # Light of lamps via mirrors is indirect; it comes in after the state has begun, as its second class.
         self.state = state = DiffuseShooting(self.transport, self.emitted, self.outside.straight)
-        state.arrive_later(self.outside.caustics.total)
+        state.has_passed(self.outside.passed)
+        caustics = self.outside.caustics
+        state.arrive_later(caustics.total, caustics.other, caustics.escaped)
         shooting = Southwell(state, Grouping.for_sides(len(state.direct), s.rays, MIN_RAYS_PER_GROUP), s.tolerance, s.max_shots)
         trap = Trap(state)
         for share in shooting.run():

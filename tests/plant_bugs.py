@@ -2357,6 +2357,27 @@ BUGS = (
         "batch // max(1, count)))",
         "tests/methods/test_unmet_lamps.py -k few_receivers",
     ),
+    Bug(
+        "light that mirrors send on counts as absorbed by them",
+        "adjoint_gi/core/two_pass/caustics.py",
+        "other -= (flux[met.row] * met.scattered)",
+        "other -= 0 * (flux[met.row] * met.scattered)",
+        "tests/methods/test_multi_pass.py -k counted_once",
+    ),
+    Bug(
+        "what nodes make is taken for the mesh of its maker",
+        "adjoint_gi/bridge/baking/instances.py",
+        'its_own = original.type == "MESH" and',
+        'its_own = original.type == "MESH" or',
+        "tests/blender/test_bake_instances.py -k nodes",
+    ),
+    Bug(
+        "a result ends with an error that nobody thought of",
+        "adjoint_gi/bridge/baking/jobs.py",
+        "except Exception as error:  # whatever it was",
+        "except (AdjointError, OSError) as error:  # whatever it was",
+        "tests/blender/test_jobs.py -k nobody_thought",
+    ),
 )
 
 

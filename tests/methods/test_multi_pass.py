@@ -85,6 +85,20 @@ def test_flux_is_conserved_over_mirrors_at_every_step():
     assert last.escaped < 1e-3 * last.emitted
 
 
+@pytest.mark.parametrize("lobes", [[("transparent", 0.9)], [("transparent", 0.5), ("diffuse", 0.2)], [("glass", 1.0)], [("glossy", 0.9)]])
+def test_light_of_a_lamp_that_goes_on_is_counted_once(lobes):
+    """A lamp of 3 x 5 pi x 0.04 W in a closed room, with a sheet below it."""
+    b = SceneBuilder()
+    b.box("Room", (0, 0, 0), (1, 1, 1), diffuse("Grey", 0.8), inward=True)
+    sheet = Material("Sheet", tuple(Lobe(name, Color.of(x, x, x), 0.0, 1.5) for name, x in lobes))
+    b.quad("Sheet", (0.1, 0.1, 0.5), (0.8, 0, 0), (0, 0.8, 0), sheet)
+    b.light(Light("Lamp", "area", (5.0, 5.0, 5.0), position=(0.5, 0.5, 0.8), axis_z=(0, 0, 1), axis_x=(1, 0, 0), size_x=0.2, size_y=0.2))
+    world = World(b.build())
+    found = solve(ElementReceivers(Elements(world, 0.5)), max_edge=0.25, samples=1).balance
+    assert found.emitted == pytest.approx(3 * 5 * np.pi * 0.04, rel=0.06) and found.gap < 1e-9
+    assert found.escaped < 1e-3 * found.emitted
+
+
 def test_a_picture_at_once_that_goes_over_into_the_second(monkeypatch):
     # A step after every batch, so that the steps do not depend on the speed of the machine.
     monkeypatch.setattr(clock, "PAUSE", 0.0)

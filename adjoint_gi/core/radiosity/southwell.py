@@ -233,12 +233,20 @@ class DiffuseShooting:
         new.absorbed, new.escaped, new.cut, new.sent = (x.copy() for x in (self.absorbed, self.escaped, self.cut, self.sent))
         return new
 
-    def arrive_later(self, irradiance: np.ndarray) -> None:
-        """Take irradiance (n, 3) from outside that has flown more than one segment. Only for unbounded lengths."""
-        flux = (self.transport.area[:, None] * irradiance).sum(axis=0)
-        self.emitted = self.emitted + flux
-        self.total += float(flux.sum())
+    def arrive_later(self, irradiance: np.ndarray, other: np.ndarray, escaped: np.ndarray) -> None:
+        """Take irradiance (n, 3) from outside that has flown more than one segment. Only for unbounded lengths.
+
+        other, escaped (3,): W of it that is absorbed beside it, and that has left the scene. All of this light has arrived before, on its
+        first segment, so the three add up to 0.
+        """
+        self.absorbed = self.absorbed + other
+        self.escaped = self.escaped + escaped
         self._arrive(irradiance[None], 1)
+
+    def has_passed(self, flux: np.ndarray) -> None:
+        """Flux (3,) in W that arrived at first went straight on and arrived once more."""
+        self.emitted, self.absorbed = self.emitted - flux, self.absorbed - flux
+        self.total -= float(flux.sum())
 
     def unshot_flux(self) -> np.ndarray:
         """(n,) float64 unshot flux in W of each side; absolute values, as overshooting makes some negative."""

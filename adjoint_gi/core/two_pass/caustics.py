@@ -29,6 +29,8 @@ class Caustics:
     by_length   (depth + 2, 2 ne, 3) float64 W m-2; entry k holds the light that has flown k segments, so 0 and 1 are empty
     unmet       the same shape: of this, what left the first surface after a lamp by a perfectly smooth lobe. Rays from receivers meet a
                 lamp without size never and a small one hardly ever there, so view passes leave this light to what is known here
+    other       (3,) W: what arrives over mirrors and neither reaches a diffuse lobe nor goes on, less what goes over them from the first
+                surfaces, where straight light has all of it: with this and what escaped, (3,) W, the flux of lamps is counted once
     rays        cast for it
     """
 
@@ -36,6 +38,7 @@ class Caustics:
         self.elements, self.chains = elements, chains
         sides = 2 * elements.count
         self.rays = 0
+        self.other, self.escaped = np.zeros(3), np.zeros(3)
         self.any = False
         self._sources = []
         if chains.any and particles:
@@ -56,8 +59,10 @@ class Caustics:
         for index, count in enumerate(self._counts):
             items += [(index, first, min(first + PARTICLES_PER_BATCH, count)) for first in range(0, count, PARTICLES_PER_BATCH)]
         with closing(in_order(self._batch, items)) as results:
-            for number, (found, rays) in enumerate(results):
+            for number, (found, other, escaped, rays) in enumerate(results):
                 self.rays += rays
+                self.other += other
+                self.escaped += escaped
                 for length, side, power, unmet in found:
                     area = self.elements.area[side >> 1]
                     self.any |= len(side) > 0
@@ -84,22 +89,28 @@ class Caustics:
         out.prepare()
         return out
 
-    def _batch(self, item: tuple[int, int, int]) -> tuple[list, int]:
-        """Particles first to last of a source: for each length the sides (m,), power (m, 3) in W and whether it is `unmet`; rays."""
+    def _batch(self, item: tuple[int, int, int]) -> tuple[list, np.ndarray, np.ndarray, int]:
+        """Particles first to last of a source: for each length the sides (m,), power (m, 3) in W and whether it is `unmet`; then `other`,
+        `escaped` and `rays` of them."""
         index, first, last = item
         source = self._sources[index]
         rng = np.random.default_rng([19, index, first])
         square = additive(np.arange(first + 1, last + 1), STEPS[4], 0.5).T
         start = source.shoot(square, rng, np.zeros(last - first, np.int64))
         flux = start.flux / np.float32(self._counts[index])
-        found, rays = [], 0
+        found, other, escaped, rays = [], np.zeros(3), np.zeros(3), 0
         origin, direction = (np.ascontiguousarray(x, np.float32) for x in (start.origin, start.direction))
         for met in self.chains.follow(origin, direction, RayKind.SHADOW, rng, start.dark):
             rays += len(met.row) + len(met.away)
-            if met.segments < 2 or not len(met.row):
+            if met.segments < 2:
+                other -= (flux[met.row] * met.scattered).sum(axis=0, dtype=float)
+                continue
+            escaped += (flux[met.away] * met.lost).sum(axis=0, dtype=float)
+            if not len(met.row):
                 continue
             s = met.surface
             power = flux[met.row] * met.weight * met.share
+            other += (flux[met.row] * (met.weight - met.sent) - power).sum(axis=0, dtype=float)
             lamp = isinstance(source.kind, LampKind)
             found.append((met.segments, self.elements.side(s.triangle, s.u, s.v, s.side), power, met.clear & lamp))
-        return found, rays
+        return found, other, escaped, rays

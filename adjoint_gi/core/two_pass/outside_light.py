@@ -30,6 +30,12 @@ class OutsideLight:
         return self.lamps.irradiance
 
     @property
+    def passed(self) -> np.ndarray:
+        """(3,) float64 W of `straight` that went straight through what lets light pass, so that it is there again further on."""
+        elements = self.lamps.elements
+        return ((np.repeat(elements.area, 2) - elements.held.area)[:, None] * self.straight).sum(axis=0)
+
+    @property
     def rays(self) -> int:
         """Cast so far."""
         return self.lamps.rays + self.caustics.rays

@@ -29,7 +29,7 @@ class Met:
     segments   flown so far
     row        (m,) which ray; surface: where, on the side it came from; weight (m, 3) float32 of what it carries
     share      (m, 1) or (m, 3) float32 of that which coats let through to the diffuse lobe, 1 where there are none
-    sent       (m, 3) float32 weight that goes on from there
+    sent       (m, 3) float32 weight that goes on from there; scattered: the part of it that does so by a lobe, not straight through
     clear      (m,) bool: the first surface on the way was left by a perfectly smooth lobe, so that no light point finds this chain
     away, lost (k,), (k, 3): rays that escape, and their weight
     """
@@ -40,6 +40,7 @@ class Met:
     weight: np.ndarray
     share: np.ndarray
     sent: np.ndarray
+    scattered: np.ndarray
     clear: np.ndarray
     away: np.ndarray
     lost: np.ndarray
@@ -88,12 +89,11 @@ class Chains:
         clear = np.ones(len(origin), bool)
         for segment in shoot(self.world, flight, self.depth + 1, self._scatter, rng, dark):
             row, at, on = segment.row, segment.arrived, segment.scattered
-            sent = np.zeros_like(at.weight)
-            sent[on.rows] = on.flight.weight
-            if segment.passed is not None:
-                sent += segment.passed
+            scattered = np.zeros_like(at.weight)
+            scattered[on.rows] = on.flight.weight
+            sent = scattered if segment.passed is None else scattered + segment.passed
             share = self.share(at.surface, -at.direction)
-            yield Met(at.segments, row, at.surface, at.weight, share, sent, clear[row], segment.away, segment.lost)
+            yield Met(at.segments, row, at.surface, at.weight, share, sent, scattered, clear[row], segment.away, segment.lost)
             if at.segments == 1:
                 clear[row[on.rows]] = on.delta
 
