@@ -239,14 +239,14 @@ def rendered():
 def picture():
     """A picture by the button, whose numbers are radiance."""
     bakes, state = runner(), settings()
-    state.method, state.target = "path_tracing", "render"
+    state.method, state.target, state.folder = "path_tracing", "render", tempfile.mkdtemp()
     state.settings_path_tracing.samples = 4
     yield PAUSE
     operator("bake")
     yield from wait(lambda: not bakes.running)
     yield 8 * PAUSE
     save_panel("panel_picture")
-    state.target = "texture"
+    state.target, state.folder = "texture", ""
 
 
 def compared():
