@@ -339,9 +339,13 @@ def test_flux_is_accounted_for_whatever_counts_and_lies_on_the_way(low, tint):
 def test_light_that_arrives_later_has_flown_before():
     transport = MatrixTransport(np.ones(2), np.full((2, 3), 0.5), np.array([[0.0, 1.0], [1.0, 0.0]]), np.zeros(2))
     state = DiffuseShooting(transport, np.zeros((2, 3)), np.array([[1.0] * 3, [0.0] * 3]))
-    state.arrive_later(np.array([[0.0] * 3, [4.0] * 3]))
+    state.arrive_later(np.array([[0.0] * 3, [4.0] * 3]), np.full(3, -4.5), np.full(3, 0.5))
     assert state.direct[:, 0].tolist() == state.first[:, 0].tolist() == [1, 0] and state.indirect[:, 0].tolist() == [0, 4]
-    assert state.emitted.tolist() == [5] * 3 and state.absorbed.tolist() == [2.5] * 3 and state.remaining().tolist() == [2.5] * 3
+    # It has arrived before, so it is no more flux: a mirror has sent on 4.5 W of what arrived there, and half a watt of these escaped.
+    assert state.emitted.tolist() == [1] * 3 and state.escaped.tolist() == [0.5] * 3
+    assert state.absorbed.tolist() == [-2.0] * 3 and state.remaining().tolist() == [2.5] * 3
+    state.has_passed(np.full(3, 0.25))
+    assert state.emitted.tolist() == [0.75] * 3 and state.absorbed.tolist() == [-2.25] * 3
 
 
 # ---- rays as transports

@@ -151,8 +151,8 @@ def test_methods_cast_every_ray_as_what_it_is(name, panels, floor, monkeypatch):
     monkeypatch.setattr(World, "occluded", spy_shadow)
     picture(World(everything(veil=False, floor=floor, panels=panels)), name, **METHODS[name])
     expected = set(KINDS) - {RayKind.SHADOW}
-    if name in ("particle_tracing", "two_pass") or (name == "whitted" and panels):
-        # Particles of lamps fly as shadow rays do; by them Whitted's lamps over mirrors are named, and lamps too close for elements.
+    if name in ("particle_tracing", "two_pass") or (name in ("whitted", "path_tracing", "distribution") and panels):
+        # Particles of lamps fly as shadow rays do; they name lamps over mirrors that rays do not find, and lamps too close for elements.
         expected = set(KINDS)
     if not panels:
         expected -= {RayKind.GLOSSY, RayKind.TRANSMISSION}
