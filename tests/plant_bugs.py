@@ -266,9 +266,9 @@ BUGS = (
     ),
     Bug(
         "lamp caustics counted as direct in partial results",
-        "solvers/multi_pass.py",
-        "self.emitted, self.outside.straight)\n        state.arrive_later(self.outside.caustics.total)",
-        "self.emitted, self.outside.straight + self.outside.caustics.total)",
+        "adjoint_gi/core/radiosity/southwell.py",
+        "self._arrive(irradiance[None], 1)",
+        "self._arrive(irradiance[None], 0)",
         "tests/methods/test_multi_pass.py -k partial_results",
     ),
     Bug(
@@ -1156,8 +1156,8 @@ BUGS = (
     Bug(
         "what chains let straight through is not sent on",
         "adjoint_gi/core/walks/mirror_chains.py",
-        "sent += segment.passed",
-        "sent += 0",
+        "scattered + segment.passed",
+        "scattered + 0",
         "tests/core/test_first_passes.py -k straight_through",
     ),
     Bug(

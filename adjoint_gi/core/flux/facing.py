@@ -10,12 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ..base.errors import Notice
-from ..scene.world import World
+from ..scene.world import World, once_a_world
 from ..walks import openness
 from ..walks.openness import DARK, ENOUGH, MIN_ARRIVALS, count_sides, of_sheets
 from ..walks.particles import walk
@@ -51,18 +50,14 @@ def baked_sides(world: World, objects: Sequence[int]) -> BakedSides:
     return BakedSides(facing, tuple(_notices(world, back)))
 
 
-_SEEN: WeakKeyDictionary[World, np.ndarray] = WeakKeyDictionary()  # a world does not change after it is made
-
-
+@once_a_world
 def _seen(world: World) -> np.ndarray:
-    """(2, nt) int64 how many particles of the camera arrive at the fronts and backs of all triangles; followed once for each world."""
-    if world not in _SEEN:
-        rng, sides = np.random.default_rng(0), np.zeros((2, world.triangle_count), np.int64)
-        view = through_picture(world, PARTICLES, rng)
-        if view is not None:
-            walk(world, view, LENGTH, rng, partial(count_sides, sides), importance=True)
-        _SEEN[world] = sides
-    return _SEEN[world]
+    """(2, nt) int64 how many particles of the camera arrive at the fronts and backs of all triangles."""
+    rng, sides = np.random.default_rng(0), np.zeros((2, world.triangle_count), np.int64)
+    view = through_picture(world, PARTICLES, rng)
+    if view is not None:
+        walk(world, view, LENGTH, rng, partial(count_sides, sides), importance=True)
+    return sides
 
 
 def _by_back(world: World, sides: np.ndarray, volume: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -6,7 +6,6 @@ Gathering picks a triangle and a point on it. Shooting picks an object and a cel
 from __future__ import annotations
 
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from ..sampling import maps as sampling
 from ..sampling.maps import columns, cosine_directions, dot
 from ..scene.faces import points
 from ..scene.mean_emission import mean_emission
-from ..scene.world import World
+from ..scene.world import World, once_a_world
 from . import patches
 from .base import LightKind, Rays, Sample
 from .patches import Patches
@@ -210,17 +209,9 @@ class Cells:
         return Rays(origin, direction, self._emission_at(self.triangle[cell], u, v) * self.full[cell, None])
 
 
-_LOOKED_AT: WeakKeyDictionary[World, tuple[np.ndarray, Patches | None]] = WeakKeyDictionary()  # a world does not change once made
-
-
+@once_a_world
 def _looked_at(world: World) -> tuple[np.ndarray, Patches | None]:
-    """(nt, 3) float64 mean emitted radiance of every triangle, and the patches of those that emit where emission varies; once a world."""
-    if world not in _LOOKED_AT:
-        _LOOKED_AT[world] = _look(world)
-    return _LOOKED_AT[world]
-
-
-def _look(world: World) -> tuple[np.ndarray, Patches | None]:
+    """(nt, 3) float64 mean emitted radiance of every triangle, and the patches of those that emit where emission varies."""
     mean = np.zeros((world.triangle_count, 3))
     triangles = np.flatnonzero(world.shading.emissive() & (world.area > 0)).astype(np.int32)
     if not len(triangles):

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from ..sampling.additive import STEPS, additive
 from ..sampling.maps import cosine_directions
 from ..scene.arrays import ObjectArrays, RayKind
 from ..scene.topology import components, edge_pairs, weld
-from ..scene.world import Surface, World
+from ..scene.world import Surface, World, once_a_world
 from .apart import BodyGrid, BodyLayer, spread
 
 CHUNK = 1 << 16  # points looked at in one go
@@ -287,18 +286,10 @@ class _Rooms:
         return [self.triangles[k] for k in np.flatnonzero(((self.low > low + edge) & (self.high < high - edge)).all(axis=1))]
 
 
-_KNOWN: WeakKeyDictionary[World, dict[int, Pieces]] = WeakKeyDictionary()  # a world does not change after it is made
-
-
+@once_a_world
 def _pieces(world: World, index: int) -> Pieces:
-    """Of object `index`; found once for each world."""
-    known = _KNOWN.setdefault(world, {})
-    if index not in known:
-        known[index] = _find_pieces(world, world.scene.objects[index])
-    return known[index]
-
-
-def _find_pieces(world: World, obj: ObjectArrays) -> Pieces:
+    """Of object `index`."""
+    obj = world.scene.objects[index]
     place = world.scene.vertices[obj.first_vertex : obj.first_vertex + obj.vertex_count].astype(np.float64) - world.center
     index = world.scene.triangles[obj.triangles].astype(np.int64) - obj.first_vertex
     if not len(index):

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import wraps
+from typing import TypeVar, TypeVarTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -263,3 +266,20 @@ class World:
     def emission(self, surface: Surface) -> np.ndarray:
         """(n, 3) float32 emitted radiance, the same from both sides, W m-2 sr-1."""
         return self.shading.emission(surface.triangle, surface.u, surface.v)
+
+
+More, Found = TypeVarTuple("More"), TypeVar("Found")
+
+
+def once_a_world(find: Callable[[World, *More], Found]) -> Callable[[World, *More], Found]:
+    """`find(world, *more)`, computed once for each world and `more`: a world does not change after it is made."""
+    known: WeakKeyDictionary[World, dict[tuple, Found]] = WeakKeyDictionary()
+
+    @wraps(find)
+    def found(world: World, *more: *More) -> Found:
+        of = known.setdefault(world, {})
+        if more not in of:
+            of[more] = find(world, *more)
+        return of[more]
+
+    return found

@@ -9,14 +9,13 @@ is at stake there; light that leaves a nearly closed scene is a leak.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ..base.errors import Notice
 from ..lights.emission import Emission
 from ..scene.topology import oriented_pieces, weld
-from ..scene.world import World
+from ..scene.world import World, once_a_world
 from .particles import Hits, walk
 
 PARTICLES = 16384
@@ -44,17 +43,12 @@ class Openness:
     sides: np.ndarray
 
 
-_MEASURED: WeakKeyDictionary[World, dict[int, Openness]] = WeakKeyDictionary()  # a world does not change after it is made
-
-
 def measure(world: World, particles: int = PARTICLES) -> Openness:
     """Follow `particles` particles of all lights, once for each world; nothing arrives where nothing emits."""
-    known = _MEASURED.setdefault(world, {})
-    if particles not in known:
-        known[particles] = _follow(world, particles)
-    return known[particles]
+    return _follow(world, particles)
 
 
+@once_a_world
 def _follow(world: World, particles: int) -> Openness:
     emission = Emission(world)
     sides = np.zeros((2, world.triangle_count), np.int64)  # arrivals at the front and at the back of each triangle
@@ -80,9 +74,6 @@ def count_sides(sides: np.ndarray, hits: Hits) -> None:
         sides[k] += np.bincount(surface.triangle[of_side], minlength=sides.shape[1])
 
 
-_SHEETS: WeakKeyDictionary[World, dict[int, np.ndarray]] = WeakKeyDictionary()
-
-
 def of_sheets(world: World, sides: np.ndarray) -> np.ndarray:
     """`sides` (2, nt) int64, arrivals at both sides of each triangle, summed over the surface that hangs together with it with normals that
     agree. Triangles of objects that nearly nothing reaches from behind keep their own."""
@@ -94,14 +85,12 @@ def of_sheets(world: World, sides: np.ndarray) -> np.ndarray:
     return np.stack([np.bincount(label, counts, world.triangle_count)[label] for counts in sides]).astype(np.int64)
 
 
+@once_a_world
 def _sheets(world: World, index: int) -> np.ndarray:
-    """(n,) int64 labels of the triangles of object `index`; found once for each world."""
-    known = _SHEETS.setdefault(world, {})
-    if index not in known:
-        obj = world.scene.objects[index]
-        vertices = world.scene.vertices[obj.first_vertex : obj.first_vertex + obj.vertex_count]
-        known[index] = oriented_pieces(weld(vertices)[world.scene.triangles[obj.triangles] - obj.first_vertex])
-    return known[index]
+    """(n,) int64 labels of the triangles of object `index`."""
+    obj = world.scene.objects[index]
+    vertices = world.scene.vertices[obj.first_vertex : obj.first_vertex + obj.vertex_count]
+    return oriented_pieces(weld(vertices)[world.scene.triangles[obj.triangles] - obj.first_vertex])
 
 
 def _lost(world: World, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
