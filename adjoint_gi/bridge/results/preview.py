@@ -46,10 +46,11 @@ def show(objects: Sequence[bpy.types.Object], key: str, *, attributes: bool = Fa
             obj.data[ADDED] = True
         originals = [slot.material for slot in obj.material_slots]
         _remember(obj)
-        obj[STATE]["key"], obj[STATE]["source"] = key, _named(entry, name)
+        source = _named(entry, name)
+        obj[STATE]["key"], obj[STATE]["source"] = key, source
         # Step 3: ours in their place. Slots that would be shown alike share one: each new one makes Blender look through all others.
         for slot, material in zip(obj.material_slots, originals, strict=True):
-            alike = (material and material.session_uid, _named(entry, name))
+            alike = (material and material.session_uid, source)
             if alike not in made:
                 made[alike] = make_material(key, material, entry, name)
                 made[alike][OURS] = True
