@@ -102,11 +102,13 @@ class IrradianceCache(Solver):
 
         # Step 1: fill the cache with the irradiance at some points. Every 64th first, so that records spread out before they fill in.
         if settings.max_length >= 2:
+            done = 0.0
             for stride, start in ((64, 0), (8, 4), (1, 0)):
                 for share in state.cover(receivers, stride, start, run):
                     if run.clock.due():
                         text = f"{len(state.records.radius):,} cached values, pass of every {stride}"
-                        yield from run.clock.pause(Step(min(0.8, 0.8 * share / stride), text, run.solution))
+                        yield from run.clock.pause(Step(0.8 * (done + (1 / stride - done) * share), text, run.solution))
+                done = 1 / stride
 
         run.indirect_tail = state.tail / max(state.seen, 1e-300)
 
@@ -152,7 +154,8 @@ class CacheRun:
         return self.index.irradiance(surface.position, surface.ns, self.settings.gradients)[:2]
 
     def cover(self, receivers: Receivers, stride: int, start: int, run: Run) -> Iterator[float]:
-        """Make records until every `stride`-th receiver point has one; yields the share done."""
+        """Make records until every `stride`-th receiver point has one; yields the share done, which never falls."""
+        share = 0.0
         for points in sliced(receivers.sites(), POINTS_PER_PIECE):
             at = np.flatnonzero(points.triangle >= 0)[start::stride]
             towards = None if points.towards is None else points.towards[at]
@@ -163,10 +166,12 @@ class CacheRun:
                     break
                 # Points that lie far apart in the receivers' order, so that one round does not crowd one place.
                 pick = bare[:: max(1, len(bare) // RECORDS_PER_ROUND)][:RECORDS_PER_ROUND]
-                yield from self._add(surface, pick, run)
-            yield (int(points.receiver.max()) + 1) / receivers.count
+                for _ in self._add(surface, pick, run):
+                    yield share
+            share = max(share, (int(points.receiver.max()) + 1) / receivers.count)
+            yield share
 
-    def _add(self, surface: Surface, pick: np.ndarray, run: Run) -> Iterator[float]:
+    def _add(self, surface: Surface, pick: np.ndarray, run: Run) -> Iterator[None]:
         blocks = [pick[a : a + RECORDS_PER_BLOCK] for a in range(0, len(pick), RECORDS_PER_BLOCK)]
         first = len(self.records.radius)
 
@@ -180,7 +185,7 @@ class CacheRun:
             run.rays += rays
             self.tail += tail
             self.seen += float(records.irradiance.sum(dtype=np.float64)) / np.pi * self.rows * self.cols
-            yield 0.0
+            yield
         self.index = RecordIndex(self.records, self.settings.accuracy, 1.01 * self.world.size)
 
     def _make(self, surface: Surface, rng: np.random.Generator) -> tuple[Records, int, np.ndarray]:
