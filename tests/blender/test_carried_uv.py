@@ -215,6 +215,23 @@ def test_subdivision_stays_behind_and_what_makes_faces_does_not():
     assert [m.type for m in obj.modifiers][-1] == "NODES", "Blender keeps it last"
 
 
+@pytest.mark.parametrize("before", [(), ("SOLIDIFY",)])
+def test_faces_that_subdivision_alone_gives_an_area_have_texels(before):
+    """A bed cover as people model it: its top was extruded and left in place."""
+    obj = box("Cover", *before, "SUBSURF")
+    v = [tuple(x.co) for x in obj.data.vertices]
+    ring = [(4, 5, 9, 8), (5, 7, 11, 9), (7, 6, 10, 11), (6, 4, 8, 10)]
+    sides = [(0, 2, 3, 1), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    obj.data.clear_geometry()
+    obj.data.from_pydata(v + v[4:], [], [*sides, *ring, (8, 9, 11, 10)])
+    make_lightmap_uv(obj)
+    assert bool(before) == (carried.carrier(obj) is not None)
+    mesh = evaluated(obj)
+    assert min(p.area for p in mesh.polygons) > 0
+    lightmap = raster([mesh])
+    assert (lightmap.overlapping, lightmap.no_area, lightmap.outside) == (0, 0, 0) and not lightmap.warnings
+
+
 def test_a_mesh_made_by_geometry_nodes_can_have_a_layer():
     obj = box()
     tree = bpy.data.node_groups.new("Cone", "GeometryNodeTree")

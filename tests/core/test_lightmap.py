@@ -199,7 +199,8 @@ def test_layers_of_ours_tell_of_what_is_at_stake_with_remedies_that_fit():
     uv[2] = uv[2, 0]
     assert "1 triangles have no area in UV space and get no texel Unwrap these faces" in said(False) and not said(True)
     uv[0] = uv[0, 0]
-    assert said(True) == ["1 triangles have no area in UV space and get no texel Renew the lightmap UVs (--renew-uvs)"]
+    remedy = "Merge by distance, then renew the lightmap UVs (--renew-uvs)"
+    assert said(True) == [f"1 triangles have no area in UV space and get no texel {remedy}"]
 
 
 def test_missing_layer_names_the_object_and_lists_the_others():

@@ -91,6 +91,22 @@ def stage(objects: Sequence[bpy.types.Object], view_layer: bpy.types.ViewLayer) 
             view_layer.update()
 
 
+def subdivided(obj: bpy.types.Object, count: int, view_layer: bpy.types.ViewLayer) -> np.ndarray | None:
+    """(count, 3) float32 places to which subdivision takes the vertices of the mesh that it gets, which are the first of its own; None
+    where nothing is subdivided.
+
+    Faces that were extruded and left in place have no area before it, and one behind it: unwrapped by these places they have texels.
+    """
+    if not any(m.type in SUBDIVIDES and m.show_viewport for m in _behind(obj)):
+        return None
+    evaluated = obj.evaluated_get(view_layer.depsgraph)
+    mesh = evaluated.to_mesh()
+    try:
+        return positions(mesh)[:count].copy() if len(mesh.vertices) >= count else None
+    finally:
+        evaluated.to_mesh_clear()
+
+
 def carry(obj: bpy.types.Object, name: str, uv: np.ndarray, vertex: np.ndarray) -> None:
     """Have `obj` carry `uv` (n, 2) float32 of the corners of its evaluated mesh at our `stage`, which belong to `vertex` (n,) int32.
 

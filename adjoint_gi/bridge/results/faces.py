@@ -93,9 +93,19 @@ class FacesCopy:
         return MeshFaces(flat, point, corners, polygon, area, good, len(self.vertices))
 
 
-def copy_faces(obj: bpy.types.Object, mesh: bpy.types.Mesh) -> FacesCopy:
-    """The faces of `mesh` with the size that `obj` has; raises SceneError where there are none."""
+def copy_faces(obj: bpy.types.Object, mesh: bpy.types.Mesh, moved: np.ndarray | None = None) -> FacesCopy:
+    """The faces of `mesh` with the size that `obj` has; raises SceneError where there are none.
+
+    moved (nv, 3) float32: positions to take in place of those of `mesh`.
+    """
     if not mesh.polygons:
         raise SceneError(obj.name, "has no faces to unwrap", "Give it faces")
-    size = np.array(obj.matrix_world.to_3x3(), np.float64)
-    return FacesCopy(obj.name, size, positions(mesh), triangle_corners(mesh), triangle_polygons(mesh), corner_vertices(mesh))
+    size, places = np.array(obj.matrix_world.to_3x3(), np.float64), positions(mesh) if moved is None else moved
+    return FacesCopy(obj.name, size, places, triangle_corners(mesh), triangle_polygons(mesh), corner_vertices(mesh))
+
+
+def has_flat_faces(mesh: bpy.types.Mesh) -> bool:
+    """Whether faces of `mesh` have no area."""
+    area = np.empty(len(mesh.polygons), np.float32)
+    mesh.polygons.foreach_get("area", area)
+    return bool((area <= 0.0).any())

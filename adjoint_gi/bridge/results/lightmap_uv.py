@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import zlib
 from collections.abc import Callable, Iterator, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
@@ -24,7 +24,7 @@ from ...core.receivers.unwrap import Unwrapped, unwrap
 from ..host.meshes import corner_vertices, first_corners
 from . import carried, stored
 from . import links as targets
-from .faces import FacesCopy, MeshFaces, copy_faces
+from .faces import FacesCopy, MeshFaces, copy_faces, has_flat_faces
 from .real import is_real
 from .stored import ASKED, FACES, SHARED
 
@@ -130,10 +130,13 @@ def copy_for_plan(obj: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> Pla
     """
     check_target(obj)
     if not (carried.must_carry(obj) or not _room(obj)):
-        return PlanCopy(copy_faces(obj, obj.data), False, frozenset(a.name for a in obj.data.attributes))
+        moved = carried.subdivided(obj, len(obj.data.vertices), view_layer) if has_flat_faces(obj.data) else None
+        return PlanCopy(copy_faces(obj, obj.data, moved), False, frozenset(a.name for a in obj.data.attributes))
     with carried.stage([obj], view_layer):
         mesh = obj.evaluated_get(view_layer.depsgraph).data
-        return PlanCopy(copy_faces(obj, mesh), True, frozenset(a.name for a in mesh.attributes))
+        copy, flat = PlanCopy(copy_faces(obj, mesh), True, frozenset(a.name for a in mesh.attributes)), has_flat_faces(mesh)
+    moved = carried.subdivided(obj, len(copy.faces.positions), view_layer) if flat else None
+    return copy if moved is None else replace(copy, faces=replace(copy.faces, positions=moved))
 
 
 def plan_of(objects: Sequence[bpy.types.Object], copies: Sequence[PlanCopy]) -> UvPlan:

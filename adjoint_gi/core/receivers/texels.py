@@ -265,7 +265,11 @@ SENTENCES = {
     ),
     "outside": ("{n} triangles reach out of the unit square and are cut off there", "Move the UVs into the unit square", RENEW),
     "unusable": ("{n} triangles have UV coordinates that are not numbers and get no texel", "Unwrap these faces again", RENEW),
-    "no_area": ("{n} triangles have no area in UV space and get no texel", "Unwrap these faces", RENEW),
+    "no_area": (
+        "{n} triangles have no area in UV space and get no texel",
+        "Unwrap these faces",
+        "Merge by distance, then renew the lightmap UVs (--renew-uvs)",
+    ),
     "tiny": (
         "{n} UV islands own fewer than two texels",
         "Raise the resolution or unwrap into larger islands",
