@@ -9,6 +9,7 @@ from __future__ import annotations
 import bpy
 import pytest
 from adjgi.adjoint_gi.bridge.baking.bake import Bake, rehearse
+from adjgi.adjoint_gi.bridge.baking.preflight import SEPARATE, preflight
 from adjgi.adjoint_gi.bridge.cli import main as cli
 from adjgi.adjoint_gi.bridge.results import show
 from adjgi.adjoint_gi.bridge.results.attribute import linked_attribute, result_object
@@ -131,3 +132,10 @@ def test_check_and_bake_say_the_same_of_a_name_that_is_taken(by, registered):
                 ("floor", "warning")
             ]
         assert made.written == ["attribute AdjointGI.001 of floor"]
+
+
+def test_objects_with_modifiers_of_any_name_are_one_line():
+    for k, obj in enumerate(scene()):
+        obj.modifiers.new(f"Thick {k}", "SOLIDIFY")
+    (told,) = [n for n in preflight(bpy.context, request("attribute")) if "change its vertices" in n.reason]
+    assert told.names == ("good 0", "good 1", "good 2") and SEPARATE in told.reason

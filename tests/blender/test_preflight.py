@@ -250,6 +250,16 @@ def test_49_a_mesh_shared_by_objects():
     assert errors("attribute") == [] and errors("attribute", new_object=True) == []
 
 
+def test_a_scene_without_meshes_names_scenes_that_have_some():
+    plane(emission=(1, 1, 1))
+    menu = bpy.data.scenes.new("Menu")
+    menu.world = bpy.data.worlds.new("World")
+    menu.world.color = (1.0, 1.0, 1.0)
+    bpy.context.window.scene = menu
+    (told,) = errors()
+    refused_by([told], 'Scene "Menu"', 'other scenes of the file have: "Scene"')
+
+
 def test_55_unsaved_file_is_said(tmp_path):
     plane(emission=(1, 1, 1))
     assert any("never saved" in n.reason and n.severity == "info" for n in said())
@@ -363,7 +373,7 @@ def test_modifiers_that_change_the_mesh_give_an_attribute_an_object_of_its_own()
     made = plane(emission=(1, 1, 1))
     made.modifiers.new("Subdivide", "SUBSURF").levels = 1
     (told,) = [n for n in said("attribute") if module.SEPARATE in n.reason]
-    assert told.severity == "info" and "Subdivide" in told.reason
+    assert told.severity == "info" and "has modifiers" in told.reason
     assert errors("attribute") == [] and errors("attribute", new_object=True) == [] and errors("texture") == []
 
 

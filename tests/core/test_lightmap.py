@@ -203,6 +203,14 @@ def test_layers_of_ours_tell_of_what_is_at_stake_with_remedies_that_fit():
     assert said(True) == [f"1 triangles have no area in UV space and get no texel {remedy}"]
 
 
+def test_the_odd_texel_that_faces_of_our_layers_share_is_not_told():
+    world = flat_world(rectangle(0, 0, 1, 0.5), rectangle(0.97, 0.49, 1, 0.6))
+    theirs, ours = (rasterize(world, [0, 1], resolution=128, subsamples=1, ours=made) for made in (False, True))
+    assert 0 < ours.overlapping < 16 and theirs.warnings and not ours.warnings
+    half = flat_world(rectangle(0, 0, 1, 0.5), rectangle(0, 0.4, 1, 1))
+    assert "claimed by faces" in rasterize(half, [0, 1], resolution=8, subsamples=1, ours=True).warnings[0].reason
+
+
 def test_missing_layer_names_the_object_and_lists_the_others():
     with pytest.raises(TargetError, match=r'Object0.*"Bake".*"UVMap"'):
         rasterize(flat_world(rectangle(0, 0, 1, 1)), [0], "Bake", resolution=8)

@@ -35,7 +35,7 @@ from ..props.request import RECEIVERS, BakeRequest
 from ..results import links as targets
 from ..results import real as reals
 from ..results import stored
-from ..results.attribute import check_attribute_target, name_taken
+from ..results.attribute import NotOnMesh, check_attribute_target, name_taken
 from ..results.lightmap_uv import NAME, check_target, own_layer
 from ..results.show import unhidden
 from . import outputs
@@ -218,6 +218,11 @@ def _of_objects(world: World, request: BakeRequest, receivers: list[int]) -> lis
 
 def _nothing_to_bake(arrays: SceneArrays) -> Notice:
     """That no object can receive, and what would."""
+    others = [s for s in bpy.data.scenes if s != bpy.context.scene and any(o.type == "MESH" and o.data.polygons for o in s.objects)]
+    if others and not arrays.objects:
+        names = listed([f'"{s.name}"' for s in others])
+        reason = f"is the active scene and has no mesh object with faces to bake; other scenes of the file have: {names}"
+        return Notice(f'Scene "{bpy.context.scene.name}"', reason, "Make one of these the active scene, and save the file", "error")
     if any(o.instance for o in arrays.objects):
         reason, remedy = "has faces to bake in instances only", "Turn on Bake Instances (--instances)"
     else:
@@ -449,7 +454,8 @@ def _attribute_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notic
     except TargetError as error:
         if request.new_object or targets.linked(obj, False) is not None or obj.mode == "EDIT":
             return [error.notice]
-        return [Notice(obj.name, f"{error.notice.reason}; {SEPARATE}", "", "info")]
+        why = error.kind if isinstance(error, NotOnMesh) else error.notice.reason
+        return [Notice(obj.name, f"{why}; {SEPARATE}", "", "info")]
     taken = None if request.new_object else name_taken(obj, request.quantity, request.attribute)
     return [taken] if taken is not None else []
 

@@ -34,7 +34,8 @@ FACES = {
     "SURFACE": "Give it points in both directions",
     "META": "Give an element a larger radius, or lower the threshold",
 }
-FACELESS = {"CAMERA", "LIGHT", "LIGHT_PROBE", "SPEAKER", "ARMATURE", "LATTICE"}
+# Kinds that no renderer shows, of which nothing need be said.
+FACELESS = {"CAMERA", "LIGHT", "LIGHT_PROBE", "SPEAKER", "ARMATURE", "LATTICE", "EMPTY"}
 
 
 @dataclass(eq=False)
@@ -132,9 +133,7 @@ class InstanceWalk:
             self._visit_light(inst, obj, original)
         elif original.is_missing:
             self._notices.add(original.name, *targets.missing(original))
-        elif kind == "EMPTY" and original == depsgraph.scene.camera:
-            pass  # said of the camera
-        elif kind not in FACELESS and kind not in BECOMES_MESH and not (kind == "EMPTY" and original.is_instancer):
+        elif kind not in FACELESS and kind not in BECOMES_MESH:
             self._is_faceless(original.name, original, f"is of type {_words(kind)}, which has no faces, and is left out")
         return True
 

@@ -65,8 +65,16 @@ class WrittenAttribute:
     taken: Notice | None = None
 
 
+class NotOnMesh(TargetError):
+    """A result cannot go to the object's own mesh; `kind` says why in words that are the same for many objects."""
+
+    def __init__(self, object: str, reason: str, remedy: str, kind: str) -> None:
+        super().__init__(object, reason, remedy)
+        self.kind = kind
+
+
 def check_attribute_target(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, new_object: bool = False) -> None:
-    """Raise TargetError unless a result for the evaluated mesh of `obj` can be written to its own mesh (or to a new object).
+    """Raise TargetError, or NotOnMesh, unless a result for the evaluated mesh of `obj` can be written to its own mesh (or to a new object).
 
     Called before the bake, because an answer after it would come too late.
     """
@@ -77,16 +85,18 @@ def check_attribute_target(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph
     others = targets.sharing(obj)
     if others:
         names = ", ".join(o.name for o in others[:4]) + (f" and {len(others) - 4} more" if len(others) > 4 else "")
-        raise TargetError(
+        raise NotOnMesh(
             obj.name, f'shares its mesh "{obj.data.name}" with {names}, and an attribute can hold one result only',
             "Make it a single user, bake to textures, or make a new object",
+            "shares its mesh with other objects, and an attribute can hold one result only",
         )  # fmt: skip
     if not same_topology(obj, depsgraph):
         active = [m.name for m in obj.modifiers if _enabled(m) and m.type not in KEEPS_TOPOLOGY]
         cause = "modifier " + ", ".join(active) if active else "its evaluation"
-        raise TargetError(
+        raise NotOnMesh(
             obj.name, f"{cause} changes its vertices or faces, so values cannot go back to the original mesh",
             "Apply the modifier, bake to a texture, or make a new object",
+            "has modifiers that change its vertices or faces, so values cannot go back to the original mesh",
         )  # fmt: skip
 
 

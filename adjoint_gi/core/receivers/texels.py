@@ -142,7 +142,7 @@ def rasterize(
     owner = world.scene.object[triangle] if len(triangle) else triangle
     counts = {name: len(found) for name, found in problems.items()}
     counts |= {"overlap": claims.overlapping, "tiny": len(np.unique(chart[problems["tiny"]]))}
-    told = _at_stake(world, triangle, layout, chart, problems, counts) if ours else (problems, counts)
+    told = _at_stake(world, triangle, layout, chart, problems, counts, len(pixel)) if ours else (problems, counts)
     return Lightmap(
         receivers=receivers,
         pixel=pixel,
@@ -196,17 +196,24 @@ def _outside(
 
 
 def _at_stake(
-    world: World, triangle: np.ndarray, layout: UvTriangles, chart: np.ndarray, problems: dict[str, np.ndarray], counts: dict[str, int]
+    world: World,
+    triangle: np.ndarray,
+    layout: UvTriangles,
+    chart: np.ndarray,
+    problems: dict[str, np.ndarray],
+    counts: dict[str, int],
+    texels: int,
 ) -> tuple[dict[str, np.ndarray], dict[str, int]]:
     """The `problems` and their `counts` without triangles and charts that are so small that at the density of their object, or of all
-    where that has none, they would get no texel, or fewer than two, in any layout."""
+    where that has none, they would get no texel, or fewer than two, in any layout, and without the odd texel at which two faces meet."""
     area, owner, flat = world.area[triangle].astype(np.float64), world.scene.object[triangle], 0.5 * np.abs(layout.doubled)
-    whole, texels = (np.bincount(owner, x, len(world.scene.objects)) for x in (area, flat))
-    density = np.where(texels > 0, texels / np.maximum(whole, 1e-300), texels.sum() / max(float(whole.sum()), 1e-300))[owner]
+    whole, laid = (np.bincount(owner, x, len(world.scene.objects)) for x in (area, flat))
+    density = np.where(laid > 0, laid / np.maximum(whole, 1e-300), laid.sum() / max(float(whole.sum()), 1e-300))[owner]
     due = area * density
     large = {"no_area": due >= 1, "tiny": (np.bincount(chart, due) >= 2)[chart]}
     problems = problems | {name: problems[name][which[problems[name]]] for name, which in large.items()}
-    return problems, counts | {"no_area": len(problems["no_area"]), "tiny": len(np.unique(chart[problems["tiny"]]))}
+    shared = counts["overlap"] if counts["overlap"] >= SHARED * texels else 0
+    return problems, counts | {"overlap": shared, "no_area": len(problems["no_area"]), "tiny": len(np.unique(chart[problems["tiny"]]))}
 
 
 def _unfit(layout: UvTriangles, tiny: np.ndarray) -> dict[str, np.ndarray]:
@@ -255,6 +262,7 @@ def placed_triangles(
     return np.concatenate(triangle), np.concatenate(uv), np.concatenate(chart), charts
 
 
+SHARED = 1e-3  # share of the texels from which on it is said of our own layers that faces share them
 RENEW = "Renew the lightmap UVs (--renew-uvs)"
 # Of each problem: what is said, what helps a layer of the user's, and what helps one of ours.
 SENTENCES = {
