@@ -7,9 +7,15 @@ import OpenEXR
 import pytest
 from adjgi import solvers
 from adjgi.adjoint_gi.bridge.cli import cornell as demo
-from adjgi.adjoint_gi.bridge.engine.passes import FAR
+from adjgi.adjoint_gi.bridge.engine.passes import FAR, Geometry
+from adjgi.adjoint_gi.bridge.engine.passes import pixels as passes_of
+from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.images import exr
 from adjgi.adjoint_gi.core.method import registry
+from adjgi.adjoint_gi.core.method.solution import Solution
+from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
+from adjgi.adjoint_gi.core.scene.arrays import Camera
+from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests.blender.fakes import camera, fake_method, quick, square
 
 WIDTH, HEIGHT = 40, 30
@@ -90,6 +96,34 @@ def test_transparent_film_takes_the_background_out(scene, tmp_path):
     assert not got["Combined"][0, 0].any()
     covered = got["Combined"][..., 3].mean()
     assert covered == pytest.approx(2 * 2 / (3 * 2.25), rel=0.02)
+
+
+@pytest.mark.parametrize("transparent", [False, True])
+def test_pixels_that_a_surface_covers_in_part(transparent):
+    """Each holds as much of the surface, and of the background, as it has points on them; depth and normal are those of the surface."""
+    width, sky, glow = 4, np.array([1.0, 2.0, 3.0]), np.array([5.0, 4.0, 3.0])
+    b = SceneBuilder()
+    b.quad("Sheet", (0.125, 0, 0), (9, 0, 0), (0, 9, 0), diffuse("Sheet", 0.0, tuple(glow)))
+    b.background = tuple(sky)
+    b.camera = Camera("orthographic", (0, 0, 5), (1, 0, 0), (0, 1, 0), (0, 0, -1), (-0.5, 0.5, -0.5, 0.5), width, width, clip_start=1.0)
+    world = World(b.build())
+    receivers = CameraReceivers(world)
+    geometry = Geometry.of(world, receivers)
+    # A quarter of the picture is right of the edge, above the middle: half of the third column, all of the fourth.
+    covered = np.zeros((width, width))
+    covered[2:, 2:] = 0.5, 1.0
+    np.testing.assert_allclose(geometry.alpha.reshape(width, width), covered)
+    np.testing.assert_allclose(geometry.behind, (1 - covered.reshape(-1, 1)) * sky, rtol=1e-6)
+    np.testing.assert_allclose(geometry.depth.reshape(width, width), np.where(covered > 0, 5, FAR), rtol=1e-6)
+    np.testing.assert_allclose(geometry.normal, (covered.reshape(-1, 1) > 0) * [0, 0, 1], atol=1e-6)
+    seen = (covered.reshape(-1, 1) * glow + (1 - covered.reshape(-1, 1)) * sky).astype(np.float32)
+    none = np.zeros_like(seen)
+    found = Solution("path_tracing", "radiance", seen, none, none, none, np.ones(len(seen), np.float32))
+    got = passes_of(registry.method("path_tracing").spec, found, geometry, transparent)
+    alpha = covered.reshape(-1, 1) if transparent else np.ones((width**2, 1))
+    want = covered.reshape(-1, 1) * glow if transparent else seen
+    np.testing.assert_allclose(got["Combined"], np.concatenate([want, alpha], axis=1), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(got["Emission"], want, rtol=1e-5, atol=1e-6)
 
 
 def test_percentage_of_the_resolution(scene, tmp_path):

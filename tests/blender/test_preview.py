@@ -197,6 +197,32 @@ def test_showing_twice_and_switching_the_quantity_still_restores_exactly():
     assert difference(before, everything()) == []
 
 
+def test_a_new_bake_changes_only_the_previews_that_show_its_quantity():
+    one, other, unshown = (plane(name, materials=[material(name)]) for name in ("One", "Other", "Unshown"))
+    for obj in (one, other, unshown):
+        bake(obj)
+        bake(obj, "direct")
+    preview.show([one], "irradiance")
+    preview.show([other], "direct")
+
+    def shown():
+        return [obj.material_slots[0].material for obj in (one, other, unshown)]
+
+    before = shown()
+    # The same picture is the same preview, of whatever is shown.
+    preview.follow([one, other, unshown], "irradiance")
+    assert shown() == before
+    for obj in (one, other, unshown):
+        targets.forget(obj, ["irradiance"])
+        bake(obj, value=3.0)
+    preview.follow([one, other, unshown], "irradiance")
+    names = [m.name for m in shown()]
+    assert shown()[0] != before[0] and shown()[1:] == before[1:] and names[2] == "Unshown"
+    assert [obj.get(preview.STATE, {}).get("key") for obj in (one, other, unshown)] == ["irradiance", "direct", None]
+    image = next(n.image for n in shown()[0].node_tree.nodes if n.type == "TEX_IMAGE")
+    assert image == linked_image(one, "irradiance")
+
+
 def test_restoring_one_of_two_keeps_the_other():
     objs = rich_scene()
     before = everything()

@@ -11,6 +11,7 @@ from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder
 from adjgi.adjoint_gi.core.lights.emission import Emission
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.scene.arrays import Color, Lobe, Material, Source, Term
+from adjgi.adjoint_gi.core.scene.mean_emission import mean_emission
 from adjgi.adjoint_gi.core.scene.row_sums import polygon_means
 from adjgi.adjoint_gi.core.scene.texture import Texture, sample_texture
 from adjgi.adjoint_gi.core.scene.world import World
@@ -97,3 +98,60 @@ def test_products_and_complements_of_pictures():
     np.testing.assert_allclose(fluxes(panel(picture, terms=(twice,))), texel * 0.75, rtol=0.1)
     np.testing.assert_allclose(fluxes(panel(picture, terms=(Term((1.0,) * 3), Term((-1.0,) * 3, (IMAGE,))))), texel * 1023.5, rtol=0.01)
     np.testing.assert_allclose(fluxes(panel(picture, terms=(Term((2.0,) * 3), once))), texel * 2048.5, rtol=1e-3)
+
+
+# ---- any emission over any polygon
+
+PAINT = Source("attribute", "Paint")
+SHINES = {
+    "attribute": Color((Term((2.0, 1.0, 0.5), (PAINT,)),)),
+    "image": Color((Term((2.0, 1.0, 0.5), (IMAGE,)),)),
+    "alpha": Color((Term((2.0, 1.0, 0.5), (dataclasses.replace(IMAGE, alpha=True),)),)),
+    "sum": Color((Term((1.0, 2.0, 3.0)), Term((2.0, 1.0, 0.5), (IMAGE,)), Term((0.5, 1.0, 2.0), (PAINT,)))),
+    "product": Color((Term((2.0, 1.0, 0.5), (IMAGE, PAINT)),)),
+    "clipped": Color((Term((0.5, 0.5, 0.5)), Term((-1.0, -1.0, -1.0), (IMAGE,)))),
+}
+# Convex, corners in order, some repeated: of a triangle, a square, a trapezoid, a kite and a pentagon as cells of elements are.
+POLYGONS = np.array(
+    [
+        [(0.1, 0.1), (0.7, 0.1), (0.1, 0.8), (0.1, 0.8), (0.1, 0.8)],
+        [(0.2, 0.2), (0.5, 0.2), (0.5, 0.5), (0.2, 0.5), (0.2, 0.5)],
+        [(0.0, 0.0), (0.8, 0.0), (0.3, 0.3), (0.0, 0.3), (0.0, 0.3)],
+        [(0.0, 0.0), (0.9, 0.05), (0.3, 0.3), (0.1, 0.3), (0.1, 0.3)],
+        [(0.0, 0.0), (0.7, 0.0), (0.7, 0.3), (0.2, 0.8), (0.0, 0.8)],
+    ]
+)
+
+
+def painted(color):
+    """World of a triangle with a picture and an attribute, that shines as `color` says."""
+    x, y = np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 6))
+    b = SceneBuilder()
+    uv = np.array([[(0, 0), (1, 0.2), (0.1, 1)]], np.float32)
+    b.mesh(
+        "Leaf", np.array([(0, 0, 0), (2, 0, 0), (0, 2, 0)]), np.array([[0, 1, 2]]), Material("Shines", (Lobe("emission", color),)), uv=uv
+    )
+    scene = b.build()
+    paint = np.array([[(0.1, 0.9, 0.3, 1), (1.0, 0.2, 0.4, 1), (0.3, 0.4, 1.0, 1)]], np.float32)
+    leaf = dataclasses.replace(scene.objects[0], colors={"Paint": paint})
+    texture = Texture("T", np.stack([x**2, y, x * (1 - y), 1 - x], axis=2).astype(np.float32), "EXTEND", "Linear")
+    return World(dataclasses.replace(scene, objects=(leaf,), textures=(texture,)))
+
+
+def inside(polygon, points):
+    """(n,) bool: which of `points` (n, 2) lie in a convex polygon (k, 2) with corners counterclockwise."""
+    side, away = np.roll(polygon, -1, axis=0) - polygon, points[:, None] - polygon
+    return (side[:, 0] * away[..., 1] - side[:, 1] * away[..., 0] >= 0).all(axis=1)
+
+
+@pytest.mark.parametrize("kind", SHINES)
+def test_the_mean_of_any_emission_over_any_polygon_is_that_of_very_many_points(kind):
+    world = painted(SHINES[kind])
+    found = mean_emission(world.shading, np.zeros(len(POLYGONS), np.int64), POLYGONS[..., 0], POLYGONS[..., 1])
+    k = (np.arange(500) + 0.5) / 500
+    grid = np.stack([x.ravel() for x in np.meshgrid(k, k)], axis=1)
+    exact = []
+    for polygon in POLYGONS:
+        u, v = grid[inside(polygon, grid)].T.astype(np.float32)
+        exact.append(world.shading.emission(np.zeros(len(u), np.int64), u, v).mean(axis=0, dtype=float))
+    np.testing.assert_allclose(found, exact, rtol=0.03 if kind in ("product", "clipped") else 0.005)
