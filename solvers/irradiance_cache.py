@@ -23,7 +23,7 @@ from ..adjoint_gi.core.base.parallel import in_order
 from ..adjoint_gi.core.base.settings import setting
 from ..adjoint_gi.core.bsdf.lobes import DIFFUSE_LOBES
 from ..adjoint_gi.core.bsdf.table import BsdfTable
-from ..adjoint_gi.core.lights.direct import direct_irradiance
+from ..adjoint_gi.core.lights.direct import halved_irradiance
 from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.method import common_settings as common
 from ..adjoint_gi.core.method.registry import GATHERING, NONDETERMINISTIC, MethodSpec, Solver, lines, register
@@ -140,11 +140,7 @@ class CacheRun:
         if not s.min_length <= 1 <= s.max_length:
             nothing = np.zeros((len(surface.triangle), 3), np.float32)
             return nothing, nothing, 0
-        half = max(1, s.light_samples // 2)
-        parts = [direct_irradiance(self.world, self.walk.emitters, surface, n, rng) for n in (half, max(1, s.light_samples - half))]
-        (a, some), (b, more) = parts
-        share = np.float32(half / max(2, s.light_samples))
-        return share * a + (1 - share) * b, (a - b) / 2, some + more
+        return halved_irradiance(self.world, self.walk.emitters, surface, max(2, s.light_samples), rng)
 
     def indirect(self, surface: Surface) -> tuple[np.ndarray, np.ndarray]:
         """(n, 3) int Lr cos dw, interpolated, and its spread."""

@@ -321,7 +321,10 @@ def test_direct_light_at_receivers_replaces_that_of_elements_and_lengths_rule_it
     texels = SurfaceReceivers("texels", [0, 1, 2], [0, 1], [0.1, 0.3], [0.2, 0.4])
 
     def gather(surface, rng):
-        return 7.0 * np.ones((len(surface.triangle), 3), np.float32), 5 * len(surface.triangle)
+        light = np.full((len(surface.triangle), 3), 7.0, np.float32)
+        # Of one sign at one receiver and of the other at the other: errors do not cancel between receivers.
+        differ = np.where(surface.position[:, :1] < surface.position[:, :1].mean(), 1.0, -1.0) * np.ones(3) * (0.5, 0.25, 0.0)
+        return light, differ, 5 * len(surface.triangle)
 
     for low, high, direct, emitted in ((0, 9, 7.0, np.pi / 2), (2, 9, 1.0, 0.0), (0, 0, 1.0, np.pi / 2)):
         answer = ElementAnswer(elements, texels, gather, low, high)
@@ -330,6 +333,9 @@ def test_direct_light_at_receivers_replaces_that_of_elements_and_lengths_rule_it
         assert np.allclose(parts.direct, direct)
         assert np.allclose(parts.emitted, emitted)
         assert parts.rays == (10 if direct == 7.0 else 0)
+        # Sum of the channels: 0.75 of 21.
+        assert parts.noise == (pytest.approx(0.75 / 21) if direct == 7.0 else None)
+        assert answer.parts(np.ones((8, 3)), np.full((8, 3), 14.0)).noise == (pytest.approx(0.75 / 63) if direct == 7.0 else None)
 
 
 @pytest.mark.parametrize("scene", [scenes.cornell, lambda: scenes.two_zone_sphere(0)])

@@ -14,12 +14,12 @@ from adjgi.adjoint_gi.core.method import noise
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.radiosity.lamp_light import LampLight, light_notices
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
-from adjgi.adjoint_gi.core.scene.arrays import Light
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Light
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.gathering import Run, lights_of
 from adjgi.adjoint_gi.core.walks.particles import Ends
 from adjgi.tests import scenes
-from adjgi.tests.solving import scattered, solve
+from adjgi.tests.solving import grid, quad_points, scattered, solve
 
 ON_ELEMENTS = {
     "progressive_radiosity": {"rays": 10_000, "tolerance": 0.1},
@@ -181,6 +181,33 @@ def test_the_stated_error_is_that_of_one_group_fewer():
         run.film.add(slice(0, 400), 8, total, 0 * total)
     want = np.sqrt((values.var(axis=0, ddof=1) / 3).mean()) / values.mean()
     assert run.film.relative_error() == pytest.approx(want, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", sorted(set(ON_ELEMENTS) - {"two_pass", "multi_pass"}))
+@pytest.mark.parametrize("measure", ["irradiance", "radiance"])
+def test_elements_tell_the_noise_of_direct_light_near_a_panel(name, measure):
+    """10 cm above the floor, where few light points see it; as much as they are off, or a little more, and none with many of them."""
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (1.4, 0, 0), (0, 1.4, 0), diffuse("Grey", 0.5))
+    b.quad("Panel", (0.4, 0.4, 0.1), (0, 0.6, 0), (0.6, 0, 0), diffuse("Panel", 0.0, 10.0))
+    if measure == "radiance":
+        # From above, onto the floor beside the panel.
+        frame = (-0.2, 0.2, -0.2, 0.2)
+        b.camera = Camera("orthographic", (0.2, 0.7, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0), frame, 24, 24)
+    world = World(b.build())
+    receivers = quad_points(*grid(24)) if measure == "irradiance" else CameraReceivers(world, grid=1)
+
+    def light(method, **options):
+        found = solve(method, world, receivers, **options)
+        return (found.direct + found.indirect).sum(axis=1), [n.reason for n in found.warnings if "noise" in n.reason]
+
+    exact, _ = light("path_tracing", samples=1024)
+    found, told = light(name, **ON_ELEMENTS[name])
+    off = np.sqrt(((found - exact) ** 2).mean()) / exact.mean()
+    (reason,) = told
+    assert reason.startswith(f"the noise of direct light at single {'texels' if measure == 'irradiance' else 'pixels'} is about ")
+    assert 0.9 < int(reason.partition("%")[0].split()[-1]) / 100 / off < 1.5
+    assert not light(name, **ON_ELEMENTS[name], light_samples=256)[1]
 
 
 def test_particles_state_the_error_of_one_batch_fewer():

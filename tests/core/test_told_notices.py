@@ -63,6 +63,9 @@ def test_notices_with_numbers_are_told_as_approved(monkeypatch):
     ):
         told += [str(n) for n in noise.notices(error, settings, "Some", measure, lights)] or [f"nothing of {error}"]
 
+    elements = method("progressive_radiosity").Settings(light_samples=8)
+    told += [str(n) for n in noise.notices(0.31, elements, "Some", "irradiance", 1, part="direct light", lowered_by="light_samples")]
+
     told += ["", "# path lengths", f"{path_limit.left_out(np.array([8.0, 4.0]), 24.0):.4g}"]
     told.append(f"{path_limit.left_unshot(EnergyBalance(120.0, 93.0, 20.0, 7.0), 8):.4g}")
     for share, longest in ((0.0009, 8), (0.0016, 8), (0.0944, 8), (0.127, 8), (0.95, 8), (0.0123, 1024)):

@@ -10,7 +10,7 @@ import numpy as np
 from ..base.parallel import in_order
 from ..bsdf import table as bsdf
 from ..elements.answer import AnswerSums, ElementAnswer, Parts, sum_by_receiver
-from ..lights.direct import direct_irradiance
+from ..lights.direct import halved_irradiance
 from ..lights.emitters import Emitters
 from ..radiosity.lamp_light import receiver_light
 from ..radiosity.settings import RadiositySettings
@@ -98,9 +98,10 @@ class DirectionalAnswer:
         lobes = self.table.at(surface.triangle, surface.u, surface.v, surface.ns, surface.side, towards)
         element, a, b = e.cell(surface.triangle, surface.u, surface.v)
         side = 2 * element + (surface.side < 0)
-        direct, rays = np.zeros((len(side), 3), np.float32), points.rays
+        direct, spread = np.zeros((2, len(side), 3), np.float32)
+        rays = points.rays
         if self.sharp and len(side):
-            direct, cast = self._direct_light(surface, lobes, self.scattering.shiny[element], rng)
+            direct, spread, cast = self._direct_light(surface, lobes, self.scattering.shiny[element], rng)
             rays += cast
         base = lobes.diffuse * (1 - lobes.coat()) / np.float32(np.pi)
         seen = _Seen(points.receiver, side, a, b, self.caster.to_local(side, towards), base, factor)
@@ -108,26 +109,31 @@ class DirectionalAnswer:
             sum_by_receiver(every, emitted),
             sum_by_receiver(seen.receiver, world.albedo(surface) * factor),
             sum_by_receiver(seen.receiver, direct * factor),
+            sum_by_receiver(seen.receiver, spread * factor),
         ]
         sums.append(sum_by_receiver(every, np.ones((len(every), 1))))
         return seen, sums, rays
 
-    def _direct_light(self, surface: Surface, lobes: bsdf.Lobes, shiny: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, int]:
-        """(n, 3) radiance towards the camera of light straight from emitters; the rays cast."""
-        world, samples = self.caster.world, self.settings.light_samples
-        out, rays = np.zeros((len(shiny), 3), np.float32), 0
+    def _direct_light(
+        self, surface: Surface, lobes: bsdf.Lobes, shiny: np.ndarray, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray, int]:
+        """(n, 3) radiance towards the camera of light straight from emitters, half of what its two halves differ by; the rays cast."""
+        world, samples = self.caster.world, max(2, self.settings.light_samples)
+        out, spread = np.zeros((2, len(shiny), 3), np.float32)
+        rays, half = 0, samples // 2
         plain, rest = np.flatnonzero(~shiny), np.flatnonzero(shiny)
         if len(plain):
-            light, rays = direct_irradiance(world, self.emitters, surface.take(plain), samples, rng)
-            out[plain] = light * lobes.diffuse[plain] / np.float32(np.pi)
+            light, differ, rays = halved_irradiance(world, self.emitters, surface.take(plain), samples, rng)
+            out[plain], spread[plain] = (x * lobes.diffuse[plain] / np.float32(np.pi) for x in (light, differ))
         if len(rest):
             walk = Walk(world, self.emitters, self.table, 1, 1)
             at, seen = surface.take(rest), lobes.take(rest)
-            for _ in range(samples):
+            for k in range(samples):
                 found = gather(walk, at, seen, rng)
                 out[rest] += found.direct / np.float32(samples)
+                spread[rest] += found.direct / np.float32(2 * half if k < half else -2 * (samples - half))
                 rays += found.rays
-        return out, rays
+        return out, spread, rays
 
     def parts(self, direct: DirectionalLight, indirect: DirectionalLight) -> Parts:
         """The answer for light of path length 1 and of more. Camera: "elements" in `extra` is the radiosity of the elements."""
@@ -159,7 +165,8 @@ class DirectionalAnswer:
         direct_here = sums.direct * share if self.sharp else total[:, :3]
         arrays = (sums.emitted * share, direct_here, total[:, -6:-3], sums.albedo * share)
         extra = {"elements": total[:, -3:].astype(np.float32)}
-        return Parts(*(x.astype(np.float32) for x in arrays), (sums.weight[:, 0] > 0).astype(np.float32), self.rays, extra)
+        spread = sums.spread * share if self.sharp else None
+        return Parts(*(x.astype(np.float32) for x in arrays), (sums.weight[:, 0] > 0).astype(np.float32), self.rays, extra, spread)
 
     def _shine(self, shines: list[np.ndarray], s: _Seen, rows: np.ndarray) -> np.ndarray:
         """(m, 3 k) radiance of the lobes other than diffuse towards the camera, interpolated between the nodes of the elements."""

@@ -17,15 +17,19 @@ from ..walks.sight import seen_at_once
 from .elements import Elements
 from .refinement import RefinedElements, over_base
 
-# Irradiance (n, 3) of surfaces and the number of rays it took, for direct light evaluated at the receivers themselves.
-Gather = Callable[[Surface, np.random.Generator], tuple[np.ndarray, int]]
+# Irradiance (n, 3) of surfaces, half of what its two halves differ by (n, 3), and the number of rays it took, for direct light evaluated
+# at the receivers themselves.
+Gather = Callable[[Surface, np.random.Generator], tuple[np.ndarray, np.ndarray, int]]
 
 PIECE = 1 << 13  # receiver points in one piece of work when direct light is evaluated at them
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """The arrays of a `Solution`, one row a receiver, as its fields describe them; `rays` were cast to find them."""
+    """The arrays of a `Solution`, one row a receiver, as its fields describe them; `rays` were cast to find them.
+
+    spread: (n, 3) of direct light that was evaluated at the receivers, half of what its two halves differ by; None where it was not.
+    """
 
     emitted: np.ndarray
     direct: np.ndarray
@@ -34,6 +38,18 @@ class Parts:
     weight: np.ndarray
     rays: int = 0
     extra: dict[str, np.ndarray] = field(default_factory=dict)
+    spread: np.ndarray | None = None
+
+    @property
+    def noise(self) -> float | None:
+        """Standard error of the receivers' direct light (root mean square of the channels' sum) over their mean light; None where it is
+        not known, or where all is dark."""
+        known = self.weight > 0
+        if self.spread is None or not known.any():
+            return None
+        mean = float((self.direct + self.indirect)[known].sum(axis=1, dtype=np.float64).mean())
+        error = self.spread[known].sum(axis=1, dtype=np.float64)
+        return float(np.sqrt((error**2).mean())) / mean if mean > 0 else None
 
     def arrays(self) -> dict[str, Any]:
         """Keyword arguments for `Solution`, all but `rays`."""
@@ -65,15 +81,16 @@ def element_count(world: World, receivers: Receivers, max_edge: float, target: i
 
 
 class AnswerSums:
-    """Sums over the points of `n` receivers: emitted, albedo, direct (n, 3) float64, and weight (n, 1), the number of points."""
+    """Sums over the points of `n` receivers: emitted, albedo, direct and its spread (n, 3) float64, and weight (n, 1), the number of
+    points."""
 
     def __init__(self, n: int) -> None:
-        self.emitted, self.albedo, self.direct = np.zeros((3, n, 3))
+        self.emitted, self.albedo, self.direct, self.spread = np.zeros((4, n, 3))
         self.weight = np.zeros((n, 1))
 
     def add(self, chunk: Sequence[tuple[int, np.ndarray]]) -> float:
         """Add the sums of a chunk of receivers, each with its first receiver, in the order of the fields; returns the share done."""
-        for total, (first, values) in zip((self.emitted, self.albedo, self.direct, self.weight), chunk, strict=True):
+        for total, (first, values) in zip((self.emitted, self.albedo, self.direct, self.spread, self.weight), chunk, strict=True):
             total[first : first + len(values)] += values
         return float(first + len(values)) / max(1, len(self.weight))
 
@@ -140,17 +157,18 @@ class ElementAnswer:
         elif self.emission:
             emitted[on] = np.float32(np.pi) * world.emission(surface)
         sites = _Sites(points.receiver, (2 * element + (surface.side < 0)).astype(np.int32), a, b, albedo)
-        direct = np.zeros((len(points.receiver), 3), np.float32)
+        direct, spread = np.zeros((2, len(points.receiver), 3), np.float32)
         if self.gather is not None and len(direct):
             # A generator for each chunk, so that neither threads nor order change the result.
-            direct, cast = self.gather(surface, rng)
+            direct, spread, cast = self.gather(surface, rng)
             rays += cast
             if radiance:
-                direct = direct * albedo / np.float32(np.pi)
+                direct, spread = (x * albedo / np.float32(np.pi) for x in (direct, spread))
         sums = [
             sum_by_receiver(every, emitted),
             sum_by_receiver(sites.receiver, albedo),
             sum_by_receiver(sites.receiver, direct),
+            sum_by_receiver(sites.receiver, spread),
             sum_by_receiver(every, np.ones((len(every), 1), np.float32)),
         ]
         return sites, sums, rays
@@ -193,7 +211,8 @@ class ElementAnswer:
         direct_here = total[:, :3] if self.gather is None else sums.direct * share
         arrays = (sums.emitted * share, direct_here, total[:, 3:6], sums.albedo * share)
         extra = {"elements": total[:, 6:].astype(np.float32)} if radiance else {}
-        return Parts(*(x.astype(np.float32) for x in arrays), (sums.weight[:, 0] > 0).astype(np.float32), self.rays, extra)
+        spread = None if self.gather is None else sums.spread * share
+        return Parts(*(x.astype(np.float32) for x in arrays), (sums.weight[:, 0] > 0).astype(np.float32), self.rays, extra, spread)
 
     def _identity(self, direct: np.ndarray, indirect: np.ndarray) -> Parts:
         e = self.receivers.elements

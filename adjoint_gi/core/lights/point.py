@@ -52,9 +52,14 @@ class PointLights(LampKind):
             color /= np.pi * np.array([x.radius**2 for x in self.lights], float)[:, None]
         return color
 
-    def shaped(self, i: np.ndarray | int, radiance: np.ndarray, out: np.ndarray) -> np.ndarray:
-        """`radiance` (3, n) as lamps `i` send it towards unit directions `out` (3, n): the same everywhere."""
+    def shaped(self, i: np.ndarray | int, radiance: np.ndarray, out: np.ndarray, within: np.ndarray) -> np.ndarray:
+        """`radiance` (3, n) as lamps `i` send it towards unit directions `out` (3, n), to points that lie `within` (n,) their sphere or
+        not: the same everywhere."""
         return radiance
+
+    def _holding(self, i: np.ndarray | int, to: np.ndarray) -> np.ndarray:
+        """(n,) bool: whether points lie within the sphere of lamps `i`, whose centres are at `to` (3, n) from there."""
+        return (dot(to, to) <= self.radius[i] ** 2) & (self.form == "sphere")
 
     # ---- gathering
 
@@ -70,14 +75,14 @@ class PointLights(LampKind):
             wi, distance = unit(to)
             radiance /= np.maximum(distance * distance, np.float32(1e-24))
             pdf = np.ones(len(i), np.float32)
-        return Sample(wi, distance, self.shaped(i, radiance, -wi), pdf)
+        return Sample(wi, distance, self.shaped(i, radiance, -wi, self._holding(i, to)), pdf)
 
     def seen(self, i: int, o: np.ndarray, w: np.ndarray, distance: np.ndarray) -> Seen:
         """Rays that pass through the sphere or the disk that faces their origin."""
         to = self.position[:, i : i + 1] - o
         rows, pdf = (_through_sphere if self.form == "sphere" else _through_disk)(self.radius[i] ** 2, to, w, distance)
         radiance = np.repeat(self.color[:, i : i + 1], len(rows), axis=1)
-        return Seen(rows, self.shaped(i, radiance, -w[:, rows]) if len(rows) else radiance, pdf)
+        return Seen(rows, self.shaped(i, radiance, -w[:, rows], self._holding(i, to[:, rows])) if len(rows) else radiance, pdf)
 
     # ---- shooting
 
@@ -85,6 +90,11 @@ class PointLights(LampKind):
         """Direction by intensity; the origin is uniform on the disk that the lamp shows in that direction."""
         direction = self.directions(i, square, rng)
         radius, center = self.lights[i].radius, self.center[i]
+        both = self.form == "sphere" and bool(self.holds[i])
+        inward = rng.random(len(direction)) < INWARD if both else np.zeros(len(direction), bool)
+        if both:
+            # Within the sphere every point of it shines all around.
+            direction[inward] = sphere_directions(square[inward, 0], square[inward, 1])
         if radius <= 0:
             return self._rays(i, np.broadcast_to(center, direction.shape), direction)
         x, y = sampling.disk(square[:, 2], square[:, 3])
@@ -93,8 +103,8 @@ class PointLights(LampKind):
         if self.form == "disk":
             dark = radius**2 * b2 / np.maximum(half, 1e-9)
             return self._rays(i, middle, direction, self._behind(i, middle, direction, half, radius**2 * b2, dark, rng))
-        if self.holds[i]:
-            return self._from_both_sides(i, middle, direction, half, rng)
+        if both:
+            return self._from_both_sides(i, middle, direction, half, inward)
         # The point where the line leaves the sphere.
         return self._rays(i, middle + half[:, None] * direction, direction)
 
@@ -103,17 +113,17 @@ class PointLights(LampKind):
         """(k,) bool: whether surfaces lie, or may lie, within the sphere of each lamp."""
         return np.array([near(self.world, c, x.radius) for c, x in zip(self.center, self.lights, strict=True)], bool)
 
-    def _from_both_sides(self, i: int, middle: np.ndarray, direction: np.ndarray, half: np.ndarray, rng: np.random.Generator) -> Rays:
-        """Some rays start where their line enters the sphere and light what they meet in it; the others start where it leaves.
+    def _from_both_sides(self, i: int, middle: np.ndarray, direction: np.ndarray, half: np.ndarray, inward: np.ndarray) -> Rays:
+        """The `inward` (n,) rays start where their line enters the sphere and light what they meet in it; the others start where it leaves.
 
         From inside the sphere its surface is as bright as from outside, and what lies in it casts no shadow on what lies outside.
         """
-        inward = rng.random(len(half)) < INWARD
         origin = middle + np.where(inward, -half, half)[:, None] * direction
-        share = np.where(inward, 1 / INWARD, 1 / (1 - INWARD))
+        all_around = np.asarray(self.lights[i].color, np.float64) * 4 * math.pi
+        flux = np.where(inward[:, None], all_around / INWARD, self.flux[i] / (1 - INWARD))
         rows = np.flatnonzero(inward)
-        share[rows[self._distance(origin[rows], direction[rows], None) >= 2 * half[rows]]] = 0
-        return Rays(origin, direction, share[:, None] * self.flux[i])
+        flux[rows[self._distance(origin[rows], direction[rows], None) >= 2 * half[rows]]] = 0
+        return Rays(origin, direction, flux)
 
     def _behind(
         self,

@@ -38,13 +38,16 @@ class SpotLights(PointLights):
         self._slope = (1 / np.maximum((1 - cosine) * blend, SMALLEST_STEP)).astype(np.float32)
         self._scale = np.maximum(np.array([x.spot_scale for x in lights], np.float32).reshape(-1, 2).T, np.float32(SMALLEST_SCALE))
 
-    def shaped(self, i: np.ndarray | int, radiance: np.ndarray, out: np.ndarray) -> np.ndarray:
-        """`radiance` (3, n) as spots `i` send it towards unit directions `out` (3, n), which leave the lamp."""
+    def shaped(self, i: np.ndarray | int, radiance: np.ndarray, out: np.ndarray, within: np.ndarray) -> np.ndarray:
+        """`radiance` (3, n) as spots `i` send it towards unit directions `out` (3, n), which leave the lamp.
+
+        A sphere has no cone for points `within` (n,) it, as in Cycles.
+        """
         x = dot(out, self.x[:, i].reshape(3, -1)) / self._scale[0, i]
         y = dot(out, self.y[:, i].reshape(3, -1)) / self._scale[1, i]
         z = -dot(out, self.z[:, i].reshape(3, -1))
         c = z / np.maximum(np.sqrt(x * x + y * y + z * z), np.float32(1e-12))
-        return radiance * falloff(c, self._edge[i], self._slope[i])
+        return radiance * np.where(within, np.float32(1), falloff(c, self._edge[i], self._slope[i]))
 
     def rough_solid(self, i: int) -> float:
         """Solid angle of the round cone, weighted by its falloff, sr."""

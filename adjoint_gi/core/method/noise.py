@@ -13,22 +13,26 @@ GOOD = 0.05  # at which noise is hardly seen, and which a denoiser clears
 MANY = 16  # lights; a light point finds one of them at a time
 
 
-def notices(error: float | None, settings: Settings, label: str, measure: str, lights: int) -> tuple[Notice, ...]:
+def notices(
+    error: float | None, settings: Settings, label: str, measure: str, lights: int, part: str = "", lowered_by: str = ""
+) -> tuple[Notice, ...]:
     """A notice where the relative standard `error` of single receivers is above what is told; none where it is not known.
 
-    label: of the method. measure: of the solution. lights: lamps and emitting objects of the scene.
+    label: of the method. measure: of the solution. lights: lamps and emitting objects of the scene. part: of the light that is noisy, all
+    of it by default. lowered_by: the setting that lowers it, by default the effort of the method.
     """
     if error is None or not TOLD < error < math.inf:
         return ()
     what = "pixels" if measure == "radiance" else "texels"
-    reason = f"the noise of single {what} is about {error:.0%} of the mean light (root mean square)"
-    return (Notice(label, reason, " ".join((_more(error, settings), _other(settings, measure, lights))).strip(), "info"),)
+    noise = f"the noise of {part} at single {what}" if part else f"the noise of single {what}"
+    reason = f"{noise} is about {error:.0%} of the mean light (root mean square)"
+    return (Notice(label, reason, " ".join((_more(error, settings, lowered_by), _other(settings, measure, lights))).strip(), "info"),)
 
 
-def _more(error: float, settings: Settings) -> str:
+def _more(error: float, settings: Settings, lowered_by: str) -> str:
     """How many samples it takes: the error falls with their square root."""
     for f in fields(settings):
-        if f.metadata["effort"]:
+        if f.name == lowered_by or (f.metadata["effort"] and not lowered_by):
             wanted = 2 ** math.ceil(math.log2(getattr(settings, f.name) * (error / GOOD) ** 2))
             return f"About {wanted:,} {f.metadata['label']} ({f.name}) bring it to {GOOD:.0%}."
     return "More rays and light samples lower it."

@@ -15,12 +15,14 @@ from ..base.errors import Notice
 from ..base.settings import NO_LIMIT, Settings
 from ..elements.answer import ElementAnswer, Parts, elements_for
 from ..lights.emitters import Emitters
+from ..method import noise
 from ..method.clock import Clock
 from ..method.registry import Solver
 from ..method.solution import EnergyBalance, Solution, Step
 from ..receivers.base import Receivers
 from ..scene.world import World
 from ..walks import path_limit
+from ..walks.gathering import lights_of
 from .lamp_light import LampLight, light_notices, receiver_light
 from .settings import RadiositySettings
 
@@ -106,6 +108,7 @@ class ElementRun:
 
         def solution() -> Solution:
             found, flux = find(partial), self.emitters.flux
+            noisy = () if partial else self._noise(found.parts)
             longest = getattr(self.settings, "max_length", NO_LIMIT)
             left_out = None if partial else path_limit.left_unshot(found.balance, longest)
             return Solution(
@@ -117,12 +120,17 @@ class ElementRun:
                 emitted_flux=flux.emitted,
                 entering_flux=flux.entering,
                 left_out=left_out,
-                warnings=warnings + path_limit.notices(left_out, longest),
+                warnings=warnings + path_limit.notices(left_out, longest) + noisy,
                 settings=self.settings.as_dict(),
                 partial=partial,
             )
 
         return Step(fraction, text, solution)
+
+    def _noise(self, parts: Parts) -> tuple[Notice, ...]:
+        """Says how noisy the direct light is that was evaluated at the receivers: elements themselves have no noise of texels."""
+        about = parts.noise, self.settings, self.spec.label, self.receivers.measure, lights_of(self.emitters)
+        return noise.notices(*about, part="direct light", lowered_by="light_samples")
 
 
 class RadiosityRun(ElementRun):

@@ -12,7 +12,7 @@ from ..elements import closeness
 from ..elements.answer import Gather
 from ..elements.elements import Elements
 from ..elements.rays import shifted_points
-from ..lights.direct import direct_irradiance
+from ..lights.direct import direct_irradiance, halved_irradiance
 from ..lights.emitters import Emitters
 from ..scene.world import Surface, World
 from .settings import RadiositySettings
@@ -26,8 +26,8 @@ def receiver_light(world: World, emitters: Emitters, settings: RadiositySettings
     if settings.direct_light == "elements":
         return None
 
-    def gather(surface: Surface, rng: np.random.Generator) -> tuple[np.ndarray, int]:
-        return direct_irradiance(world, emitters, surface, settings.light_samples, rng)
+    def gather(surface: Surface, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, int]:
+        return halved_irradiance(world, emitters, surface, max(2, settings.light_samples), rng)
 
     return gather
 

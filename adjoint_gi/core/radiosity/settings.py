@@ -16,5 +16,7 @@ class RadiositySettings(base.Settings):
     max_edge: float = common.max_edge()
     direct_light: str = common.direct_light()
     light_samples: int = common.light_samples(
-        8, "Points on lights, and rays to the background, for each receiver point; each element takes four times as many"
+        8,
+        "Points on lights, and rays to the background, for each receiver point, two at least: their noise is measured. "
+        "Each element takes four times as many",
     )
