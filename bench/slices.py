@@ -73,10 +73,10 @@ def painted(k: int) -> bpy.types.Image:
     return image
 
 
-def of_file(k: int) -> bpy.types.Image:
+def of_file(k: int, folder: Path | None = None) -> bpy.types.Image:
     """The same, from a file."""
     image = painted(k)
-    image.filepath_raw, image.file_format = str(Path(tempfile.gettempdir()) / f"slices{k}.png"), "PNG"
+    image.filepath_raw, image.file_format = str((folder or Path(tempfile.gettempdir())) / f"slices{k}.png"), "PNG"
     image.save()
     path = image.filepath_raw
     bpy.data.images.remove(image)
