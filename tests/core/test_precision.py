@@ -128,9 +128,9 @@ def test_a_room_stays_as_it_is_when_something_is_lost_far_away(name):
     b = SceneBuilder()
     b.box("Room", (0, 0, 0), (4, 5, 3), diffuse("Wall", 0.5, 0.5), inward=True)
     b.box("Lost", (2e4, 1e4, -1e4), (2e4 + 1, 1e4 + 1, -1e4 + 1), GREY, inward=False)
-    receivers = quad_points(*(np.full(1, 0.4),) * 2, first=8)
+    receivers = quad_points(*(np.full(16, 0.4),) * 2, first=8)
     found = solve(name, World(b.build()), receivers, **ROOM[name]).quantity("irradiance")
-    assert found == pytest.approx(np.pi, rel=0.05)
+    assert found.mean() == pytest.approx(np.pi, rel=0.05)
 
 
 @pytest.mark.parametrize("distance", [10.0, 2e4, 2e5])

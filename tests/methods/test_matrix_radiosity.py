@@ -165,10 +165,10 @@ def test_reciprocity_and_closure_are_reported():
 def test_direct_light_at_receivers_and_on_elements_agree_in_the_mean():
     world = World(scenes.cornell(12, 12, boxes=False))
     receivers = CameraReceivers(world)
-    # Finer than the ceiling's bright ring around the lamp, or smoothing lets it shine out behind the lamp.
-    at = solve(receivers, max_edge=0.05, tolerance=1e-4, closed_forms=False)
+    # Finer than the ceiling's bright ring around the lamp, or smoothing lets it shine out behind the lamp: 3 % of the light here.
+    at = solve(receivers, max_edge=0.05, tolerance=1e-4, closed_forms=False, light_samples=32)
     on = solve(receivers, max_edge=0.05, tolerance=1e-4, direct_light="elements", closed_forms=False)
-    assert at.direct.mean() == pytest.approx(on.direct.mean(), rel=0.03)
+    assert at.direct.mean() == pytest.approx(on.direct.mean(), rel=0.05)
     assert np.array_equal(at.emitted, on.emitted)
     assert at.extra["elements"].shape == (144, 3)
     assert at.extra["elements"].mean() > at.direct.mean()
