@@ -2393,6 +2393,20 @@ BUGS = (
         "tests/blender/test_engine.py -k in_part",
     ),
     Bug(
+        "area of backs that are baked counts as within what stands on their fronts",
+        "adjoint_gi/core/walks/particle_density.py",
+        "        inside &= ~turned(self.world, self.receivers.facing)[triangle]\n",
+        "",
+        "tests/core/test_particle_density.py -k left_out",
+    ),
+    Bug(
+        "light of faces that enters goes out by half of the random numbers",
+        "adjoint_gi/core/lights/flux.py",
+        "(2 * u[2]) % 1, u[3]",
+        "u[2], u[3]",
+        "tests/core/test_light_flux.py -k all_sides",
+    ),
+    Bug(
         "what nodes make is taken for the mesh of its maker",
         "adjoint_gi/bridge/baking/instances.py",
         'its_own = original.type == "MESH" and',

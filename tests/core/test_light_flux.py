@@ -98,3 +98,36 @@ def test_a_soft_lamp_lights_nothing_where_its_disk_is_out_of_the_way():
     walk(world, Emission(world).draw(50_000, np.random.default_rng(0)), 1, np.random.default_rng(1), met.append)
     first = sum(float(h.arriving.sum(dtype=float)) for h in met)
     assert Emitters(world).flux.entering == pytest.approx(first, rel=0.02)
+
+
+# A small sheet in the middle of a cube sends so much of the light of one side to the wall that it faces, the rest evenly to four others.
+FACED = 4 / PI * math.atan(1 / math.sqrt(2)) / math.sqrt(2)
+WALLS = np.concatenate([np.eye(3), -np.eye(3)])
+
+
+def one_wall(towards):
+    """One wall of a cube of side 2 around the origin, `towards` (3,) where it stands."""
+    a, b = np.roll(towards, 1), np.roll(towards, 2)
+    scene = SceneBuilder()
+    scene.quad("Wall", towards - a - b, 2 * a, 2 * b, diffuse("Black", 0.0))
+    return scene
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_light_goes_out_from_sheets_to_all_sides_by_the_cosine(axis):
+    normal = np.eye(3)[axis]
+    x, y = 0.01 * np.roll(normal, 1), 0.01 * np.roll(normal, 2)
+    shares = []
+    for towards in WALLS:
+        scene = one_wall(towards)
+        scene.quad("Sheet", -x / 2 - y / 2, x, y, diffuse("Light", 0.0, 1.0))
+        flux = Emitters(World(scene.build())).flux
+        shares.append(flux.entering / flux.emitted)
+        assert flux.passing == 0  # of lamps alone
+    np.testing.assert_allclose(shares, np.where(np.abs(WALLS[:, axis]) > 0, FACED / 2, (1 - FACED) / 4), atol=0.004)
+
+
+@pytest.mark.parametrize("towards", WALLS)
+def test_light_of_a_lamp_that_meets_nothing_is_known(towards):
+    flux = Emitters(World(lit(one_wall(towards), Light("Point", "point", WHITE, (0, 0, 0))).build())).flux
+    assert (flux.entering / flux.emitted, flux.passing / flux.emitted) == pytest.approx((1 / 6, 5 / 6), rel=0.02)

@@ -48,3 +48,20 @@ def test_a_receiver_is_the_mean_of_its_points_by_their_number():
     # Where no area could be measured, the others stand for it.
     value, known = density.values(np.array([[0.0] * 3, [6.0] * 3]), np.array([0.0, 2.0]))
     assert value[0] == pytest.approx(3.0) and known[0] == pytest.approx(1 / 3)
+
+
+@pytest.mark.parametrize("baked, free", [(1, 0.0), (-1, 1.0)])
+def test_area_is_left_out_where_the_side_that_is_baked_lies_in_a_body(baked, free):
+    """A body stands on a sheet: below it is no area of the front, and all area of the back."""
+    b = SceneBuilder()
+    b.quad("Sheet", (-2, -2, 0), (4, 0, 0), (0, 4, 0), diffuse("Grey", 0.5))
+    corners = np.array([(-1, -1, 0), (1, -1, 0), (0, 1, 0), (0, 0, 1)], float)
+    b.mesh("Body", corners, np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)]), diffuse("Grey", 0.5))
+    world = World(b.build())
+    facing = baked * world.rows[:, 9:12]
+    # On the diagonal of the sheet: in its middle, and far from the body.
+    u = np.array([0.0, 0.0], np.float32)
+    receivers = SurfaceReceivers("vertices", np.arange(3), np.zeros(2, np.int64), u, np.float32([0.5, 0.1]), facing)
+    density = ParticleDensity(world, receivers, 1000, radius=0.2)
+    area = density.area(400_000, np.random.default_rng(0))
+    np.testing.assert_allclose(area / (np.pi * 0.2**2 / 2), [free, 1.0], atol=0.1)
