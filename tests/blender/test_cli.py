@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import io
 import json
 import os
@@ -27,7 +28,7 @@ from adjgi.adjoint_gi.bridge.cli.arguments import DEMO_METHODS
 from adjgi.adjoint_gi.bridge.host.background import notice_of
 from adjgi.adjoint_gi.bridge.results import kept
 from adjgi.adjoint_gi.bridge.results import show as results
-from adjgi.adjoint_gi.core.base.errors import TargetError, WriteError
+from adjgi.adjoint_gi.core.base.errors import Notice, TargetError, WriteError
 from adjgi.adjoint_gi.core.method import registry
 from adjgi.tests.exr_layers import read_exr
 
@@ -337,6 +338,33 @@ def test_failed_write_is_exit_code_1_and_keeps_the_result(tmp_path, monkeypatch,
     assert code == 1 and f"wrote {target}" in out
     bpy.ops.wm.open_mainfile(filepath=str(target))
     assert len([i for i in bpy.data.images if "adjoint_gi_about" in i and i.packed_file]) == 2
+
+
+def test_a_saved_scene_tells_what_could_not_be_written(registered, tmp_path, monkeypatch):
+    """Of the bake, of the method, and of the files that failed, each once."""
+    box()
+
+    def fail(*_, **__):
+        raise WriteError("disk", "is full", "Make room")
+
+    monkeypatch.setattr("adjgi.adjoint_gi.bridge.baking.textures.write_exr", fail)
+    monkeypatch.setattr(kept, "folder", lambda: tmp_path)
+    solver = type(registry.method("path_tracing"))
+    solve = solver.solve
+
+    def warns(self, *arguments):
+        for step in solve(self, *arguments):
+            yield dataclasses.replace(step, solution=lambda step=step: _warned(step.solution()))
+
+    def _warned(solution):
+        return dataclasses.replace(solution, warnings=(*solution.warnings, Notice("Lamp", "is dim", "Change it")))
+
+    monkeypatch.setattr(solver, "solve", warns)
+    target = tmp_path / "baked.blend"
+    assert command("bake", *SMALL, "--output", tmp_path / "out", "--save-blend", target)[0] == 1
+    bpy.ops.wm.open_mainfile(filepath=str(target))
+    told = [str(n.notice()) for n in bpy.context.scene.adjoint_gi.result.notices]
+    assert len([t for t in told if "disk: is full" in t]) == 1 and len([t for t in told if "Lamp: is dim" in t]) == 1, told
 
 
 def test_failing_solver_writes_its_partial_result_and_is_exit_code_1(tmp_path, monkeypatch):

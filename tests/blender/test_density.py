@@ -52,6 +52,22 @@ def test_a_changed_density_renews_our_layers_at_the_next_bake(registered):
     assert not any("made anew" in n.reason for n in bake.notices)
 
 
+@pytest.mark.parametrize("change", [{"resolution": 64}, {"texels_per_metre": 20.0}, {"texels_per_metre": 0.0}])
+def test_what_else_is_asked_renews_our_layers_too(registered, change):
+    """An image is never larger than the resolution, and has the texels a metre that are asked for now."""
+    plane("Floor", 4)
+    asked = {"resolution": 256, "texels_per_metre": 40.0}
+    before, _ = given(**asked)
+    again, bake = given(**asked)
+    assert again == before and not any("another density" in n.reason for n in bake.notices)
+    after, bake = given(**asked | change)
+    assert any("another density" in n.reason for n in bake.notices)
+    obj = bpy.data.objects["Floor"]
+    obj.data.uv_layers.remove(obj.data.uv_layers["Lightmap"])
+    fresh, _ = given(**asked | change)
+    assert after == fresh != before
+
+
 def test_images_of_many_objects_follow_their_size_and_say_so():
     for k in range(24):
         plane(f"Prop {k:02}", 2.0 if k < 12 else 0.1, at=(3 * k, 0))

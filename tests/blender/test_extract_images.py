@@ -249,6 +249,36 @@ def test_an_image_is_read_once_while_it_is_the_same(tmp_path, monkeypatch, packe
         np.testing.assert_array_equal(notices()[0].textures[0].stored[0, 0], [26, 26, 26])
 
 
+READ_ANEW = {
+    "colour space": lambda image, path: setattr(image.colorspace_settings, "name", "Non-Color"),
+    "alpha": lambda image, path: setattr(image, "alpha_mode", "CHANNEL_PACKED"),
+    "another file": lambda image, path: setattr(image, "filepath", png(path.with_name("b.png"), (0.2, 0.4, 0.2, 0.5))),
+    "file repainted": lambda image, path: png(path, (0.2, 0.4, 0.2, 0.5)),
+    "packed": lambda image, path: (png(path, (0.2, 0.4, 0.2, 0.5)), image.pack()),
+}
+
+
+@pytest.mark.parametrize("change", READ_ANEW)
+@pytest.mark.parametrize("linked", [False, True])
+def test_an_image_is_read_anew_where_anything_of_it_has_changed(tmp_path, change, linked):
+    """What is kept gives what a fresh reading gives."""
+    path = tmp_path / "a.png"
+    image = bpy.data.images.load(png(path, (0.8, 0.4, 0.2, 0.5)))
+    image.buffers_free()
+    emitter(image, linked)
+    before, _ = notices()
+    READ_ANEW[change](image, path)
+    image.buffers_free()
+    kept, _ = notices()
+    image_store.KNOWN.clear()
+    fresh, _ = notices()
+    for name in ("pixels", "srgb", "times_alpha"):
+        np.testing.assert_array_equal(getattr(kept.textures[0], name), getattr(fresh.textures[0], name))
+    if change != "alpha" or not linked:
+        different = [not np.array_equal(getattr(kept.textures[0], x), getattr(before.textures[0], x)) for x in ("pixels", "times_alpha")]
+        assert any(different), "or the change tests nothing"
+
+
 def test_images_that_blender_holds_are_read_anew(tmp_path, monkeypatch):
     image = bpy.data.images.load(png(tmp_path / "a.png", (0.8, 0.4, 0.2, 1.0)))
     emitter(image)

@@ -72,6 +72,10 @@ def test_outward_normals_and_corners_under_any_matrix(case):
     # A UV that tells the vertex apart: permuting corners must carry it along.
     for loop in mesh.loops:
         layer.uv[loop.index].vector = (loop.vertex_index, 0.5)
+    # So do colours, of corners and of vertices.
+    for name, domain, owners in (("corners", "CORNER", [loop.vertex_index for loop in mesh.loops]), ("points", "POINT", range(8))):
+        paint = mesh.color_attributes.new(name, "FLOAT_COLOR", domain)
+        paint.data.foreach_set("color", np.array([(v, 0, 0, 1) for v in owners], np.float32).ravel())
     parent = bpy.data.objects.new("parent", None)
     parent.matrix_world = MATRICES[case]
     bpy.context.scene.collection.objects.link(parent)
@@ -89,7 +93,8 @@ def test_outward_normals_and_corners_under_any_matrix(case):
     np.testing.assert_allclose(np.einsum("tj,tcj->tc", n, a.corner_normals), 1.0, atol=1e-4)
     np.testing.assert_allclose(np.linalg.norm(a.corner_normals, axis=2), 1.0, atol=1e-5)
     o = a.objects[0]
-    np.testing.assert_array_equal(o.uvs["uv"][:, :, 0].astype(int), a.triangles - o.first_vertex)
+    for carried in (o.uvs["uv"], o.colors["corners"], o.colors["points"]):
+        np.testing.assert_array_equal(carried[:, :, 0].astype(int), a.triangles - o.first_vertex)
     loop_vertex = np.array([loop.vertex_index for loop in mesh.loops])
     np.testing.assert_array_equal(loop_vertex[a.corners], a.triangles - o.first_vertex)
 

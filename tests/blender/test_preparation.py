@@ -125,7 +125,7 @@ def test_stop_ends_the_thread_between_steps_and_takes_back():
 @pytest.fixture
 def scene(registered):
     square()
-    square("Second")
+    square("Second").modifiers.new("Round", "SIMPLE_DEFORM").angle = 0.0
     bpy.context.scene.world = bpy.data.worlds.new("Lit")
     bpy.context.scene.world.color = (1.0, 1.0, 1.0)
     bpy.ops.ed.undo_push(message="Start")
@@ -182,7 +182,7 @@ def test_stop_while_it_is_prepared_changes_nothing(held):
     assert not bpy.ops.adjoint_gi.resume.poll()
 
 
-@pytest.mark.parametrize("change", ["move", "delete", "edit", "vertex", "modifier", "undo"])
+@pytest.mark.parametrize("change", ["move", "delete", "edit", "vertex", "modifier", "switched off", "hide", "mesh", "frame", "undo"])
 def test_a_scene_that_changes_meanwhile_is_refused(held, change):
     job, gate = held
     obj = bpy.data.objects["Second"]
@@ -196,6 +196,14 @@ def test_a_scene_that_changes_meanwhile_is_refused(held, change):
         obj.data.vertices[0].co.x += 1
     elif change == "modifier":
         obj.modifiers.new("A", "SUBSURF")
+    elif change == "switched off":
+        obj.modifiers["Round"].show_render = False
+    elif change == "hide":
+        obj.hide_render = True
+    elif change == "mesh":
+        obj.data = obj.data.copy()
+    elif change == "frame":
+        bpy.context.scene.frame_set(7)
     else:
         bpy.data.objects.remove(obj)
         bpy.ops.ed.undo_push(message="Delete")

@@ -197,6 +197,19 @@ def test_what_is_shown_follows_the_uv_layer_of_the_next_bake(scene):
     assert shown() == ["Mine"]
 
 
+def test_new_uvs_take_back_what_was_shown_on_the_old_ones(scene):
+    before = everything()[2]
+    bake(selection_only=True)
+    assert bpy.ops.adjoint_gi.show_result() == {"FINISHED"}
+    floor = scene.objects["Floor"]
+    for o in scene.objects:
+        o.select_set(o == floor)
+    assert bpy.ops.adjoint_gi.renew_uvs() == {"FINISHED"}
+    meshes = [o for o in scene.objects if o.type == "MESH"]
+    assert [o.name for o in meshes if not preview.shown(o)] == ["Floor"], "the others go on"
+    assert everything()[2]["Floor"] == before["Floor"]
+
+
 # ---- "NAME GI"
 
 
