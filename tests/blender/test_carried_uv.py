@@ -13,6 +13,7 @@ from adjgi.adjoint_gi.bridge.baking import textures
 from adjgi.adjoint_gi.bridge.baking.bake import Bake, rehearse
 from adjgi.adjoint_gi.bridge.results import carried, links
 from adjgi.adjoint_gi.bridge.results.lightmap_uv import make_lightmap_uvs, outdated, own_layer, remove_lightmap_uv
+from adjgi.adjoint_gi.bridge.results.preview import restore, show
 from adjgi.adjoint_gi.bridge.results.remove import remove_results
 from adjgi.adjoint_gi.core.base.errors import AdjointError
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
@@ -142,6 +143,33 @@ def test_a_gltf_export_has_the_layer(tmp_path):
     given = carried.carried(obj)[0]
     known = {(round(float(u), 5), round(1 - float(v), 5)) for u, v in given}
     assert {(round(float(u), 5), round(float(v), 5)) for u, v in got} == known and len(known) > 40
+
+
+def test_a_gltf_export_of_what_is_shown_has_lightmap_and_base_colour(tmp_path):
+    """Also of objects with modifiers, whose evaluated mesh the exporter looks at; and all is as it was afterwards."""
+    plain, thick, twins = box("Plain"), box("Thick", "BEVEL"), [box("Twin"), box("Other")]
+    twins[1].data = twins[0].data
+    for k, obj in enumerate((plain, thick, twins[0])):
+        material = bpy.data.materials.new(obj.name)
+        material.use_nodes = True
+        material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.5, 0.25, 0.125 * k, 1.0)
+        obj.data.materials.append(material)
+        obj.location.x = 3.0 * k
+    lamp = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
+    bpy.context.scene.collection.objects.link(lamp)
+    before = {o.name: [(s.link, s.material) for s in o.material_slots] for o in (plain, thick, *twins)}
+    bake(request(values={"samples": 1}, resolution=64, atlas=True))
+    show([plain, thick, *twins], "irradiance")
+    path = tmp_path / "shown.glb"
+    bpy.ops.export_scene.gltf(filepath=str(path), export_apply=True, export_lights=False)
+    data = path.read_bytes()
+    head = json.loads(data[20 : 20 + struct.unpack("<I", data[12:16])[0]])
+    of = {n["name"]: head["materials"][head["meshes"][n["mesh"]]["primitives"][0]["material"]] for n in head["nodes"] if "mesh" in n}
+    for k, name in enumerate(("Plain", "Thick")):
+        assert "emissiveTexture" in of[name]
+        assert of[name]["emissiveFactor"] == pytest.approx([0.5 / np.pi, 0.25 / np.pi, 0.125 * k / np.pi], abs=1e-5)
+    assert restore([plain, thick, *twins]) == 4
+    assert {o.name: [(s.link, s.material) for s in o.material_slots] for o in (plain, thick, *twins)} == before
 
 
 def test_changed_faces_are_shown_nowhere_said_and_made_anew():

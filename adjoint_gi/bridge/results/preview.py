@@ -1,7 +1,8 @@
 """Showing a result on the objects, and putting the user's materials back exactly.
 
-Nothing of the user's materials or meshes is changed. Every material slot of an object is switched to the object (slots linked to
-the object belong to it alone, so objects that share a mesh show their own results) and filled with a material of ours. What was
+Nothing of the user's materials is changed, nor of what meshes look like. Every material slot of an object is switched to the object
+(slots linked to the object belong to it alone, so objects that share a mesh show their own results) and filled with a material of ours.
+Where modifiers change a mesh that no other object uses, the slot stays with the mesh: exports that apply modifiers read it there. What was
 there is stored in a custom property of the object, which is saved with the file, so it can be restored after loading.
 """
 
@@ -56,8 +57,7 @@ def show(objects: Sequence[bpy.types.Object], key: str, *, attributes: bool = Fa
                 made[alike][OURS] = True
                 if material is not None:
                     made[alike][ORIGINAL] = material
-            slot.link = "OBJECT"
-            slot.material = made[alike]
+            _fill(obj, slot, made[alike])
 
 
 def restore(objects: Sequence[bpy.types.Object]) -> int:
@@ -134,8 +134,14 @@ def lifted(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
         yield
     finally:
         for obj, index, material in ours:
-            obj.material_slots[index].link = "OBJECT"
-            obj.material_slots[index].material = material
+            _fill(obj, obj.material_slots[index], material)
+
+
+def _fill(obj: bpy.types.Object, slot: bpy.types.MaterialSlot, material: bpy.types.Material | None) -> None:
+    """Put one of ours into a slot that is as the user has it."""
+    if slot.link == "OBJECT" or not obj.modifiers or targets.linked(obj, True) is not None or targets.shares(obj):
+        slot.link = "OBJECT"
+    slot.material = material
 
 
 def _put_back(obj: bpy.types.Object) -> list[tuple[int, bpy.types.Material | None]]:
@@ -145,6 +151,9 @@ def _put_back(obj: bpy.types.Object) -> list[tuple[int, bpy.types.Material | Non
         if f"link{index}" not in state or (slot.material is not None and not stored.read(slot.material, OURS)):
             continue  # a slot or material that the user has put there meanwhile
         out.append((index, slot.material))
+        if slot.link == "DATA":
+            slot.material = state.get(f"mesh_material{index}")
+            continue
         slot.link = "OBJECT"
         slot.material = state.get(f"material{index}")
         slot.link = state[f"link{index}"]
@@ -152,7 +161,7 @@ def _put_back(obj: bpy.types.Object) -> list[tuple[int, bpy.types.Material | Non
 
 
 def _remember(obj: bpy.types.Object) -> None:
-    """Store the link of every slot and the material that the object itself (not its mesh) holds there."""
+    """Store the link of every slot and the materials that the object itself and its mesh hold there."""
     obj[STATE] = {"count": len(obj.material_slots)}
     for index, slot in enumerate(obj.material_slots):
         link = slot.link
@@ -160,8 +169,11 @@ def _remember(obj: bpy.types.Object) -> None:
         own = slot.material
         slot.link = link
         obj[STATE][f"link{index}"] = link
+        # What is stored counts as a user, so a purge cannot delete it.
         if own is not None:
-            obj[STATE][f"material{index}"] = own  # counts as a user, so a purge cannot delete it
+            obj[STATE][f"material{index}"] = own
+        if link == "DATA" and slot.material is not None:
+            obj[STATE][f"mesh_material{index}"] = slot.material
 
 
 def _drop_added_slot(obj: bpy.types.Object) -> None:

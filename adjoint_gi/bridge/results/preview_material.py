@@ -6,6 +6,7 @@ Transparency, glass and own emission stay as they are, so leaf cards keep their 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
@@ -53,7 +54,7 @@ def _plain(material: bpy.types.Material | None, quantity: str, entry: Any | None
     if quantity in TIMES_ALBEDO:
         color = tuple(material.diffuse_color) if material is not None else (0.8, 0.8, 0.8, 1.0)
     group = _group_node(tree, _result(tree, entry, attribute))
-    group.inputs["Base Color"].default_value = color
+    _constant(tree, color, group.inputs["Base Color"])
     tree.links.new(group.outputs["Shader"], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
     return made
 
@@ -98,10 +99,10 @@ class _Rewriting:
             return
         group = _group_node(tree, result)
         base = node.inputs.get("Base Color") or node.inputs.get("Color")
-        if self._times_base and base is not None:
+        if self._times_base and base is not None and base.is_linked:
             _take_over(tree, base, group.inputs["Base Color"])
         else:
-            group.inputs["Base Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+            _constant(tree, base.default_value if self._times_base and base is not None else (1.0,) * 4, group.inputs["Base Color"])
         shader = group.outputs["Shader"]
         if node.type == "BSDF_PRINCIPLED":
             shader = self._principled(tree, node, shader)
@@ -153,6 +154,13 @@ def _take_over(tree: bpy.types.NodeTree, source: bpy.types.NodeSocket, target: b
         target.default_value = tuple(value) if hasattr(value, "__len__") else value
 
 
+def _constant(tree: bpy.types.NodeTree, color: Sequence[float], target: bpy.types.NodeSocket) -> None:
+    """Give `target` a colour by a node: exporters look for it there."""
+    node = tree.nodes.new("ShaderNodeRGB")
+    node.outputs[0].default_value = tuple(color)
+    tree.links.new(node.outputs[0], target)
+
+
 def _set(tree: bpy.types.NodeTree, socket: bpy.types.NodeSocket, value: float) -> None:
     """Give a socket a value, and no link."""
     for link in list(socket.links):
@@ -179,15 +187,18 @@ def preview_group() -> bpy.types.NodeTree:
     tree.interface.new_socket("Result", in_out="INPUT", socket_type="NodeSocketColor")
     tree.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
     start, end = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
-    times = tree.nodes.new("ShaderNodeVectorMath")
-    times.operation = "MULTIPLY"
+    # Exporters for games understand a product of colours by this node.
+    times = tree.nodes.new("ShaderNodeMix")
+    times.data_type, times.blend_type = "RGBA", "MULTIPLY"
+    factor, result, base = (next(x for x in times.inputs if x.name == name and x.enabled) for name in ("Factor", "A", "B"))
+    factor.default_value = 1.0
     emit = tree.nodes.new("ShaderNodeEmission")
     emit.inputs["Strength"].default_value = 1 / math.pi  # from irradiance or radiosity to radiance
     for k, node in enumerate((start, times, emit, end)):
         node.location = (200 * k, 0)
-    tree.links.new(start.outputs["Base Color"], times.inputs[0])
-    tree.links.new(start.outputs["Result"], times.inputs[1])
-    tree.links.new(times.outputs["Vector"], emit.inputs["Color"])
+    tree.links.new(start.outputs["Base Color"], base)
+    tree.links.new(start.outputs["Result"], result)
+    tree.links.new(next(x for x in times.outputs if x.enabled), emit.inputs["Color"])
     tree.links.new(emit.outputs["Emission"], end.inputs["Shader"])
     return tree
 

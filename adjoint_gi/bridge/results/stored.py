@@ -147,7 +147,7 @@ def _is_state(value: Any) -> bool:
     if not (_is_group(value) and isinstance(value.get("count"), int) and isinstance(value.get("key", ""), str)):
         return False
     links = [value[k] for k in value.keys() if k.startswith("link")]  # noqa: SIM118
-    materials = [value[k] for k in value.keys() if k.startswith("material")]  # noqa: SIM118
+    materials = [value[k] for k in value.keys() if k.startswith(("material", "mesh_material"))]  # noqa: SIM118
     return all(x in ("DATA", "OBJECT") for x in links) and all(x is None or isinstance(x, bpy.types.Material) for x in materials)
 
 
