@@ -19,6 +19,7 @@ import importlib.machinery
 import importlib.util
 import os
 import shutil
+import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -85,7 +86,8 @@ def enable_extension(link_checkout: bool) -> None:
         if "bpy" in sys.modules and "BLENDER_USER_RESOURCES" not in os.environ:
             reason = "ADJOINT_GI_EXTENSION=1 inside Blender would write into the user's own folder"
             raise pytest.UsageError(f"{reason}: set BLENDER_USER_RESOURCES to an empty folder")
-        if "BLENDER_USER_RESOURCES" not in os.environ:
+        # Processes of one run have a folder each: Blender puts the extension's wheels there, over those that another has loaded.
+        if "BLENDER_USER_RESOURCES" not in os.environ or "PYTEST_XDIST_WORKER" in os.environ:
             TEMPORARY.append(tempfile.mkdtemp(prefix="adjoint_gi_user_"))
             os.environ["BLENDER_USER_RESOURCES"] = TEMPORARY[0]
     if importlib.util.find_spec("bpy") is None:
@@ -108,6 +110,10 @@ def enable_extension(link_checkout: bool) -> None:
         )
     sys.meta_path.insert(0, AliasFinder())
 
+
+# A shell without job control starts what it runs in the background with interrupts ignored, and all that this starts in turn.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # `python -m pytest` puts the working directory first.
 sys.path[:] = [entry for entry in sys.path if Path(entry).resolve() != ROOT]
