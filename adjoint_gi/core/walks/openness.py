@@ -21,6 +21,7 @@ from .particles import Hits, walk
 PARTICLES = 16384
 LENGTH = 8  # segments a particle is followed
 LEAK = 0.03  # a scene that less than this share of the reflected particles leaves is meant to be closed
+TIGHT = 1e-3  # and nothing is at stake where less than this leaves it
 ENOUGH = (
     8  # arrivals at a triangle from which on they tell its dark side: at a sheet lit from both sides all of 8 are at one by chance 1 in 128
 )
@@ -117,9 +118,9 @@ def notices(world: World, baked: set[int], particles: int = PARTICLES) -> list[N
     """What `measure` finds, in words: leaks, and of the objects `baked` (indices) those whose baked side is dark."""
     found = measure(world, particles)
     out = []
-    if 0 < found.escaped < LEAK:
+    if TIGHT <= found.escaped < LEAK:
         reason = f"{100 * found.escaped:.2g} % of the light leaves the scene, which is nearly closed: it leaks through gaps"
-        out.append(Notice("Scene", reason, "Close the gaps, or see the escaped flux in the report"))
+        out.append(Notice("Scene", reason, "Close the gaps, unless they are meant"))
     for index in np.flatnonzero((found.lost > STAKE) & (found.arrivals >= MIN_ARRIVALS)):
         if index in baked:
             which = "all of its faces are" if found.lost[index] > DARK else "some of its faces are"
