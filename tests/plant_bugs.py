@@ -2456,6 +2456,13 @@ BUGS = (
         "tests/blender/test_density.py -k else_is_asked",
     ),
     Bug(
+        "a comparison tells a time that the limit does not let methods have",
+        "adjoint_gi/core/comparison/budget.py",
+        "equal time, {self.seconds:g} s each",
+        "equal time, {self.value:g} s each",
+        "tests/core/test_comparison.py -k really_gets",
+    ),
+    Bug(
         "what nodes make is taken for the mesh of its maker",
         "adjoint_gi/bridge/baking/instances.py",
         'its_own = original.type == "MESH" and',

@@ -156,6 +156,14 @@ def test_budgets_are_read(text, kind, value):
     assert (Budget.parse(text).kind, Budget.parse(text).value) == (kind, value)
 
 
+def test_a_budget_says_what_every_method_really_gets():
+    assert Budget.parse("time=60").text == "equal time, 60 s each"
+    assert Budget.parse("time=600").text == "equal time, 300 s each, the time limit"
+    assert Budget.parse("time=600", 1000.0).text == "equal time, 600 s each"
+    assert Budget.parse("rays=1e7", 5.0).text == "equal rays, 10,000,000 each"
+    assert Budget.parse("error=0.02", 5.0).text == "equal error, relative RMSE 2 %"
+
+
 @pytest.mark.parametrize("text", ["time", "time=", "time=x", "time=0", "time=-1", "time=nan", "rays=inf", "memory=3", "=3", ""])
 def test_wrong_budgets_are_refused(text):
     with pytest.raises(SettingsError, match="budget"):

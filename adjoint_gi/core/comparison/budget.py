@@ -73,7 +73,7 @@ class Budget:
     def text(self) -> str:
         """In words."""
         if self.kind == "time":
-            return f"equal time, {self.value:g} s each"
+            return f"equal time, {self.seconds:g} s each" + (", the time limit" if self.seconds < self.value else "")
         if self.kind == "rays":
             return f"equal rays, {self.value:,.0f} each"
         return f"equal error, relative RMSE {100 * self.value:g} %"
