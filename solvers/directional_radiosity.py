@@ -81,7 +81,7 @@ class DirectionalRadiosity(Solver):
         idea="Every element keeps one radiance for each bin of directions; elements and directions together make one sparse linear system.",
         lobes=ALL_LOBES,
         limits=lines("""
-            Nothing is sharper than a bin and an element: mirrors and glass show blurred, stepped pictures
+            Nothing is sharper than a bin and an element: mirrors and glass show blurred, stepped pictures, beams behind panes spread
             Memory grows with elements times bins times rays; it is said before the start and refused over the limit
             Elements are flat: shading normals change only the camera's direct light
             Lamps are not geometry: mirrors and glass pass on their light as it falls on them, but shadow rays stop at glass
@@ -128,6 +128,10 @@ class DirectionalRadiosity(Solver):
         by_length = bounded or (settings.strategy == "gathering" and settings.solver == "jacobi")
         yield from (run.by_length if by_length else run.relax)(leaving(run.elements, run.basis), arriving)
         run.check_converged(run.residual, "Raise max_iterations or the tolerance, or lower albedos that are close to 1")
+        if run.glass_is_lit((run.first, run.rest)):
+            bins = f"{settings.bin_rows} x {settings.bin_columns} bins"
+            reason = f"light that refracts is blurred by {bins}: beams spread behind panes, with 8 x 16 one pane's flux was within 5 %"
+            run.warn(reason, "Raise bin_rows, bin_columns and rays, or take Particle Tracing where light comes through glass")
         yield from run.finish(f"Solved in {len(run.clock.history)} iterations")
 
 
@@ -137,7 +141,7 @@ class BinRun(DirectionalRun):
     def __init__(self, solver: Solver, world: World, receivers: Receivers, settings: DirectionalSettings) -> None:
         bins = Bins(settings.bin_rows, settings.bin_columns)
         super().__init__(solver, world, receivers, settings, bins, False, pairs_needed(bins.size))
-        self.transport = DirectionalTransport(self.caster, bins, self.scattering, settings.rays)
+        self.transport = DirectionalTransport(self.caster, self.scattering, settings.rays)
         self.first, self.rest = self.field(), self.field()
         self.balance: EnergyBalance | None = None
         self.residual = 1.0

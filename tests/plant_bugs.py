@@ -568,8 +568,8 @@ BUGS = (
     Bug(
         "harmonics are dimmed without the cosine of the projection",
         "adjoint_gi/core/directional/harmonics.py",
-        "(weight * w[:, 2] * np.asarray(curve(w[:, 2]), np.float64))[:, None]",
-        "(weight * np.asarray(curve(w[:, 2]), np.float64))[:, None]",
+        "(weight * w[:, 2] * np.asarray(curve(cosine), np.float64))[:, None]",
+        "(weight * np.asarray(curve(cosine), np.float64))[:, None]",
         "tests/core/test_directions.py -k dimming",
     ),
     Bug(
@@ -1898,8 +1898,8 @@ BUGS = (
     Bug(
         "dimming of bins is that of their outer edge",
         "adjoint_gi/core/directional/bins.py",
-        "(np.arange(16) + 0.5) / 16) / self.rows",
-        "(np.arange(16) + 0.5) / 16 * 0 + 1) / self.rows",
+        "(np.arange(16) + 0.5) / 16, cut if self.rows > 1 else 1.0)",
+        "(np.arange(16) + 0.5) / 16 * 0 + 1, cut if self.rows > 1 else 1.0)",
         "tests/core/test_directions.py -k dimming_is",
     ),
     Bug(
@@ -1985,6 +1985,20 @@ BUGS = (
         'if budget.kind != "time" or seconds',
         "if seconds",
         "tests/core/test_comparison.py -k can_be_unused",
+    ),
+    Bug(
+        "bins run across the critical angle",
+        "adjoint_gi/core/directional/bins.py",
+        "np.clip(np.round(self.rows * np.asarray(cut)), 1, max(1, self.rows - 1))",
+        "self.rows * np.asarray(cut)",
+        "tests/core/test_directions.py -k critical",
+    ),
+    Bug(
+        "harmonics on glass hear even powers of the cosine alone",
+        "adjoint_gi/core/directional/harmonics.py",
+        "if min(cuts) >= 1:",
+        "if True:",
+        "tests/core/test_harmonics.py -k fresnel",
     ),
     Bug(
         "bins share kernels of lobes with and without a coat",

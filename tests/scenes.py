@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from adjgi.adjoint_gi.core.bsdf.microfacet import fresnel
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material, SceneArrays
+from adjgi.adjoint_gi.core.scene.world import World
 
 
 def cube(rho=0.5, emission=0.0, materials=None) -> SceneArrays:
@@ -148,3 +150,30 @@ def _turned_box(b, name, centre, sx, sy, height, angle, material) -> None:
     low = np.array([*centre, 0]) - x / 2 - y / 2
     for label, corner, e, f in (("-x", low, z, y), ("+x", low + x, y, z), ("-y", low, x, z), ("+y", low + y, z, x), ("top", low + z, x, y)):
         b.quad(f"{name} {label}", corner, e, f, material)
+
+
+BELOW_AREA = np.array([16.0, 6.0, 6.0, 6.0, 6.0])  # of the five quads of `below_a_pane`
+
+
+def below_a_pane(light: str, ior: float = 1.45) -> tuple[World, float]:
+    """A black box, open at the top (quads 0 to 4: floor 4 x 4, walls 1.5 high), under a closed pane of clear glass that covers it, under
+    the sky or an area lamp; the flux in W that passes the pane: (1 - R) / (1 + R) of what falls on it, at every angle."""
+    b, black = SceneBuilder(), diffuse("Black", 0.0)
+    b.quad("Floor", (0, 0, 0), (4, 0, 0), (0, 4, 0), black)
+    x, y, z = (4, 0, 0), (0, 4, 0), (0, 0, 1.5)
+    for i, quad in enumerate((((0, 0, 0), y, z), (x, z, y), ((0, 0, 0), z, x), (y, x, z))):
+        b.quad(f"Wall {i}", *quad, black)
+    pane = Material("Pane", (Lobe("glass", Color.of(1), 0.0, ior),))
+    b.box("Pane", (0.001, 0.001, 1.5), (3.999, 3.999, 1.6), pane, inward=False)
+    if light == "area":
+        b.light(Light("Area", "area", (5.0, 5.0, 5.0), position=(2, 2, 2.9), size_x=1.0, size_y=1.0))
+        # Pairs of points of lamp and pane: 1.3 apart in height.
+        px, py, lx, ly = np.random.default_rng(1).random((4, 1_000_000))
+        square = (1.5 + lx - 4 * px) ** 2 + (1.5 + ly - 4 * py) ** 2 + 1.3**2
+        cosine, flux = 1.3 / np.sqrt(square), 5 * 16 * 1.3**2 / square**2
+    else:
+        b.background = (1.0, 1.0, 1.0)
+        cosine = (np.arange(100_000) + 0.5) / 100_000
+        flux = 16 * np.pi * 2 * cosine
+    r = fresnel(cosine.astype(np.float32), np.full(len(cosine), ior, np.float32))
+    return World(b.build()), float((flux * (1 - r) / (1 + r)).mean())

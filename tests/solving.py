@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
@@ -67,6 +67,14 @@ def quad_points(u: np.ndarray, v: np.ndarray, first: int = 0, each: int = 1) -> 
     lower = u > v
     a, b = np.where(lower, u - v, u), np.where(lower, v, v - u)
     return SurfaceReceivers("texels", np.arange(len(u) // each + 1) * each, np.where(lower, first, first + 1), a, b)
+
+
+def quads(numbers: Iterable[int], count: int) -> SurfaceReceivers:
+    """Texels on a count x count grid over each of a scene's first quads, by number."""
+    u, v = grid(count)
+    each = [quad_points(u, v, first=2 * k) for k in numbers]
+    triangle, a, b = (np.concatenate([getattr(x, name) for x in each]) for name in ("triangle", "u", "v"))
+    return SurfaceReceivers("texels", np.arange(len(triangle) + 1), triangle, a, b)
 
 
 def grid(count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -43,7 +43,7 @@ def transport_of(materials, rows=2, columns=4, edge=10.0, rays=4, block=None):
     elements = Elements(World(b.build()), edge)
     bins = Bins(rows, columns)
     scattering = Scattering.ready(elements, bsdf.BsdfTable(elements.world.scene), bins, 1 << 13)
-    t = DirectionalTransport(DirectionalRays(elements), bins, scattering, rays)
+    t = DirectionalTransport(DirectionalRays(elements), scattering, rays)
     for _ in t.cast():
         pass
     return t
@@ -154,6 +154,25 @@ def test_a_mirror_maps_bins_to_the_mirrored_bin():
     assert same[0].sum() == pytest.approx(bins.size, rel=1e-6)
 
 
+@pytest.mark.parametrize(("rows", "columns"), [(2, 4), (4, 8), (8, 16)])
+@pytest.mark.parametrize("ior", [1.2, 1.45, 2.4])
+def test_bins_end_at_the_critical_angle(rows, columns, ior):
+    """Inside, what a bin sends either passes or is reflected totally; bins find their own directions and fill the hemisphere."""
+    cuts = (1.0, ior**-2)
+    bins = Bins(rows, columns).on(np.array(cuts))
+    p = [pairs(LOBE_KINDS["glass"], 0.0, ior, front, table(), 1 << 14) for front in (True, False)]
+    _, other = bins.kernels(p, np.array([1.0, ior**2]), cuts)
+    passed = (other[0] * bins.solid[0, :, 0, None] / bins.solid[1, :, 0]).sum(axis=0) / ior**2  # flux, by the bin it comes from
+    low = bins.of(np.array([[np.sqrt(x), 0, np.sqrt(1 - x)] for x in (cuts[1] - 1e-4, cuts[1] + 1e-4)]), np.ones(2, int))
+    assert low[1] == low[0] + columns
+    assert (passed[low[1] :] < 1e-12).all() and (passed[: low[1]] > 0.7).all()
+    for side in (0, 1):
+        index = np.repeat(np.arange(bins.size), 20)
+        u = np.random.default_rng(0).uniform(0.01, 0.99, (2, len(index)))
+        assert (bins.of(bins.directions(index, *u, np.full(len(index), side)), np.full(len(index), side)) == index).all()
+        assert bins.solid[side].sum() == pytest.approx(np.pi)
+
+
 def test_light_that_passes_a_transparent_sheet_goes_straight():
     bins = Bins(2, 6)
     p = pairs(LOBE_KINDS["transparent"], 1.0, 1.0, True, table(), 1 << 12)
@@ -167,7 +186,7 @@ def test_light_that_passes_a_transparent_sheet_goes_straight():
 
 def inner(t, x, y):
     """<x, y>: sum of area times projected solid angle times x y."""
-    return float(t.bins.solid * (t.area[:, None, None] * x * y).sum())
+    return float((t.bins.solid * t.area[:, None, None] * x * y).sum())
 
 
 @pytest.mark.parametrize("material", [WALLS, COATED, METAL, BRUSHED, MIRROR, GLASS, FROSTED, CLEAR], ids=lambda m: m.name)

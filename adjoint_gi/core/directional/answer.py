@@ -172,7 +172,7 @@ class DirectionalAnswer:
         """(m, 3 k) radiance of the lobes other than diffuse towards the camera, interpolated between the nodes of the elements."""
         e, size = self.caster.elements, self.scattering.size
         side, a, b = s.side[rows], s.a[rows], s.b[rows]
-        index, weight = self.scattering.basis.basis(s.local[rows])
+        index, weight = self.scattering.basis.basis(s.local[rows], side)
         weight = weight.astype(np.float32)
         node = 2 * e.nodes.of_element[side >> 1].astype(np.int64) + (side & 1)[:, None]
         ab = np.where(e.is_quad[side >> 1], a * b, np.float32(0))

@@ -22,26 +22,26 @@ RAYS_PER_TASK = 1 << 13  # rays in one piece of work
 class HarmonicShooting:
     """What has arrived and what is unshot.
 
-    direct, indirect   (n, size, 3) moments of the light that has arrived, of the path lengths asked for; the first one of them,
-                       times sqrt(2 pi), is the irradiance
+    direct, indirect   (n, heard, 3) moments of the light that has arrived, of the path lengths asked for
     unshot             (k, n, size, 3) coefficients of unshot radiance, by the segments its light has behind it (see DiffuseShooting)
     absorbed, escaped  flux in W by channel, as in DiffuseShooting; `count`: rays cast; `shots`: sides that have shot
     """
 
-    def __init__(
-        self, caster: DirectionalRays, basis: HemisphereHarmonics, scattering: Scattering, low: int = 0, high: int = NO_LIMIT
-    ) -> None:
+    def __init__(self, caster: DirectionalRays, scattering: Scattering[HemisphereHarmonics], low: int = 0, high: int = NO_LIMIT) -> None:
         e = caster.elements
-        self.caster, self.basis, self.scattering = caster, basis, scattering
+        self.caster, self.basis, self.scattering = caster, scattering.basis, scattering
+        basis = self.basis
         self.low, self.high = low, high
         self.bounded = high < NO_LIMIT
         n = 2 * e.count
         self.area, self.share = e.held.area, e.held.share[:, None, None]
         self.unshot = np.zeros((length_classes(low, high), n, basis.size, 3))
-        self.direct, self.indirect = np.zeros((n, basis.size, 3)), np.zeros((n, basis.size, 3))
+        self.direct, self.indirect = np.zeros((n, basis.heard, 3)), np.zeros((n, basis.heard, 3))
         self.emitted, self.absorbed, self.escaped, self.cut = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
         self.count = self.shots = 0
         self._used = np.zeros(n, np.int64)
+        self._cut = np.zeros(n, bool) if basis.cut is None else basis.cut < 1
+        self._glass = self._cut.reshape(-1, 2).any(axis=1)
 
     @property
     def total(self) -> float:
@@ -54,7 +54,7 @@ class HarmonicShooting:
             self.unshot[0] += radiance
 
     def illuminate(self, moments: np.ndarray) -> None:
-        """Add light from outside the elements: moments (n, size, 3) of what arrives."""
+        """Add light from outside the elements: moments (n, heard, 3) of what arrives."""
         if self._counts(self._arrived(moments)):
             self._arrive(moments, 0)
 
@@ -66,10 +66,10 @@ class HarmonicShooting:
         return self.high > 0
 
     def _flux(self, radiance: np.ndarray) -> np.ndarray:
-        return np.einsum("n,a,nac->c", self.area, self.basis.flux, radiance)
+        return self.area @ self.basis.exitance(radiance)
 
     def _arrived(self, moments: np.ndarray) -> np.ndarray:
-        return np.sqrt(2 * np.pi) * (self.area @ moments[:, 0])
+        return self.area @ self.basis.irradiance(moments)
 
     def _arrive(self, moments: np.ndarray, behind: int) -> None:
         """Take moments of light with `behind` segments before this one."""
@@ -82,20 +82,21 @@ class HarmonicShooting:
             return
         # Elements between the first and the last that are lit: scattering works on ranges.
         first, last = int(lit[0]) >> 1, (int(lit[-1]) >> 1) + 1
-        leaving = self.share[2 * first : 2 * last] * self.scattering.apply(moments[2 * first : 2 * last], first=first)
-        flux = np.einsum("n,a,nac->c", self.area[2 * first : 2 * last], self.basis.flux, leaving)
+        sides = slice(2 * first, 2 * last)
+        leaving = self.share[sides] * self.scattering.apply(moments[sides], first=first)
+        flux = self.area[sides] @ self.basis.exitance(leaving, sides)
         self.absorbed += self._arrived(moments) - flux
         if self.bounded and length >= self.high:
             self.cut += flux
         else:
-            self.unshot[min(length, len(self.unshot) - 1), 2 * first : 2 * last] += leaving
+            self.unshot[min(length, len(self.unshot) - 1), sides] += leaving
 
     def unshot_flux(self) -> np.ndarray:
         """(n,) W: unshot flux of each side, absolute values, as light that rings may have a negative one.
 
         Radiance that carries no flux on the whole is ringing, or the noise of few rays, and does not bring a side to the front.
         """
-        return self.area * np.abs(np.einsum("a,nac->nc", self.basis.flux, self.unshot.sum(axis=0))).sum(axis=1)
+        return self.area * np.abs(self.basis.exitance(self.unshot.sum(axis=0))).sum(axis=1)
 
     def remaining(self) -> np.ndarray:
         """(3,) W of unshot flux, and cut off by the path length."""
@@ -114,7 +115,7 @@ class HarmonicShooting:
         self.shots += len(index)
         # Columns: class, channel. Coefficients in rows, for products with the harmonics.
         coefficients = np.ascontiguousarray(out.transpose(1, 2, 0, 3)).reshape(len(index), self.basis.size, -1)
-        plain = not coefficients[:, 1:].any()
+        plain = not coefficients[:, 1:].any() and not self._cut[index].any()
 
         def work(first: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
             part = slice(first, first + RAYS_PER_TASK)
@@ -123,14 +124,14 @@ class HarmonicShooting:
             met, arrives, color = self.caster.trace(side, a, b, w)
             mine = coefficients[:, 0] / np.sqrt(2 * np.pi) if plain else coefficients
             mine = mine[who[part]]
-            radiance = mine if plain else np.einsum("na,nak->nk", self.basis.values(w), mine)
+            radiance = mine if plain else np.einsum("na,nak->nk", self.basis.values(w, side), mine)
             return met, arrives, radiance, color
 
         pieces = list(in_order(work, range(0, len(who), RAYS_PER_TASK)))
         met, arrives, radiance = (np.concatenate([p[i] for p in pieces]) for i in range(3))
         flux = np.pi * self.area[index][who, None] * radiance / rays[who, None]
         if not plain:
-            exact = self.area[index, None] * np.einsum("a,mak->mk", self.basis.flux, coefficients)
+            exact = self.area[index, None] * self.basis.exitance(coefficients, index)
             flux = _without_ringing(flux, exact, who, rays, self.scattering.passes[index >> 1])
         if self.caster.tinted:
             arriving = flux * np.tile(np.concatenate([p[3] for p in pieces]), (1, len(used)))
@@ -148,17 +149,25 @@ class HarmonicShooting:
         met, flux = met[hit], flux[hit]
         area = np.maximum(self.area, 1e-300)[:, None]
         columns = flux.shape[1]
-        moments = np.zeros((n, self.basis.size, columns))
+        moments = np.zeros((n, self.basis.heard, columns))
         sums = np.stack([np.bincount(met, flux[:, k], n) for k in range(columns)], axis=1)
         moments[:, 0] = sums / area / np.sqrt(2 * np.pi)
         # Plainly diffuse elements do not ask for the direction.
         which = np.flatnonzero(self.scattering.shiny[met >> 1])
-        if len(which) and self.basis.size > 1:
-            h, to = self.basis.values(arrives[hit[which]]), met[which]
-            for k in range(columns):
-                for a in range(1, self.basis.size):
-                    moments[:, a, k] = np.bincount(to, flux[which, k] * h[:, a], n)
-            moments[:, 1:] /= area[:, None]
+        if len(which) and self.basis.heard > 1:
+            h, to = self.basis.moments(arrives[hit[which]], met[which]), met[which]
+            half, size = self.basis.half, self.basis.size
+            # Sides with a critical angle alone ask for two parts, and glass for odd moments.
+            parts = [(slice(None), range(1, half))]
+            if self._cut.any():
+                inner, glass = np.flatnonzero(self._cut[to]), np.flatnonzero(self._glass[to >> 1])
+                moments[self._cut, 0] = 0.0
+                parts += [(inner, range(1)), (inner, range(half, size)), (glass, range(size, self.basis.heard))]
+            for rows, numbers in parts:
+                for k in range(columns):
+                    light = flux[which[rows], k]
+                    for a in numbers:
+                        moments[:, a, k] += np.bincount(to[rows], light * h[rows, a], n) / area[:, 0]
         for k, behind in enumerate(used):
             self._arrive(np.ascontiguousarray(moments[:, :, 3 * k : 3 * k + 3]), int(behind))
 

@@ -2,7 +2,8 @@
 
 Fields are (n sides, bins, 3) float64: L(i, d), the radiance that leaves side i into bin d, or I(i, d), what arrives there out of bin d.
 V follows rays: every pair (i, d) has its own, kept as the pair (j, e) that each of them meets; I = V L is the mean over them. S is the
-scattering on every element, L = E + S I. The adjoint under <x, y> = sum A pi/bins x y is exact, as both ways use the same rays.
+scattering on every element, L = E + S I. The adjoint under <x, y> = sum A x y over projected solid angle is exact, as both ways use the
+same rays.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ class DirectionalTransport:
     color (n bins rays, 3) float32: what rays take from tinted surfaces that they pass; None where there are none.
     """
 
-    def __init__(self, caster: DirectionalRays, bins: Bins, scattering: Scattering, rays: int) -> None:
+    def __init__(self, caster: DirectionalRays, scattering: Scattering[Bins], rays: int) -> None:
         e = caster.elements
-        self.caster, self.bins, self.scattering, self.rays = caster, bins, scattering, rays
+        self.caster, self.bins, self.scattering, self.rays = caster, scattering.basis, scattering, rays
         self.area, self.share = e.held.area, e.held.share[:, None, None]
         self.count = 2 * e.count
         self.met = np.zeros(0, np.int32)
@@ -51,8 +52,8 @@ class DirectionalTransport:
             # One set over all rays of a side for the places, so that its bins do not share a few; one of each bin for directions.
             u = shifted_points(pair % k * self.rays + number, side).astype(np.float32)
             p = shifted_points(number, pair)
-            met, w, color = self.caster.trace(side, u[0], u[1], self.bins.directions(pair % k, p[2], p[3]))
-            return np.where(met < 0, -1, met * k + self.bins.of(w)).astype(np.int32), color
+            met, w, color = self.caster.trace(side, u[0], u[1], self.bins.directions(pair % k, p[2], p[3], side))
+            return np.where(met < 0, -1, met * k + self.bins.of(w, met)).astype(np.int32), color
 
         for done, piece in enumerate(in_order(work, range(0, self.count, block)), 1):
             pieces.append(piece)
@@ -92,9 +93,10 @@ class DirectionalTransport:
         """V* y."""
         hit = np.flatnonzero(self.met >= 0)
         pair, target = hit // self.rays, self.met[hit]
-        weighted = (self.area[:, None, None] * y / self.rays).reshape(-1, 3)
+        size = self.area[:, None, None] * self.bins.solid
+        weighted = (size * y / self.rays).reshape(-1, 3)
         out = np.stack([np.bincount(target, self._colored(weighted[pair, c], hit, c), len(weighted)) for c in range(3)], axis=1)
-        return out.reshape(x_shape(self)) / np.maximum(self.area, 1e-300)[:, None, None]
+        return out.reshape(x_shape(self)) / np.maximum(size, 1e-300)
 
     def apply(self, x: np.ndarray) -> np.ndarray:
         """T x = S V x."""
@@ -106,7 +108,7 @@ class DirectionalTransport:
 
     def flux(self, x: np.ndarray) -> np.ndarray:
         """(n,) flux of a field, absolute values, the channels summed, W."""
-        return self.bins.solid * self.area * np.abs(x).sum(axis=(1, 2))
+        return self.area * (self.bins.solid * np.abs(x)).sum(axis=(1, 2))
 
     def sky(self) -> np.ndarray:
         """(n, bins, 1) share of the rays of every pair that escapes; (n, bins, 3) by channel where surfaces on their way are tinted."""
@@ -126,9 +128,9 @@ class DirectionalTransport:
 
     def middles(self) -> np.ndarray:
         """(n bins, 3) float32 unit directions in the world of the middles of every pair's bin."""
-        half = np.full(self.bins.size, 0.5)
-        local = self.bins.directions(np.arange(self.bins.size), half, half)
-        return self.caster.to_world(np.repeat(np.arange(self.count), self.bins.size), np.tile(local, (self.count, 1)))
+        half = np.full(self.count * self.bins.size, 0.5)
+        side, bin = np.repeat(np.arange(self.count), self.bins.size), np.tile(np.arange(self.bins.size), self.count)
+        return self.caster.to_world(side, self.bins.directions(bin, half, half, side))
 
     # ---- schemes: each yields the residual relative to the solution after every iteration, and None in between.
 
