@@ -41,7 +41,9 @@ def light_of(scattering: Scattering, arriving: np.ndarray) -> DirectionalLight:
     """What a field that arrives, (n, size, 3), means to receivers."""
     basis = scattering.basis
     shine = scattering.apply(arriving, diffuse=False)
-    return DirectionalLight(basis.irradiance(arriving), scattering.below_coat(arriving), shine, basis.exitance(scattering.apply(arriving)))
+    # What harmonics swing below 0 is not light.
+    irradiance = np.maximum(basis.irradiance(arriving), 0)
+    return DirectionalLight(irradiance, scattering.below_coat(arriving), shine, basis.exitance(scattering.apply(arriving)))
 
 
 @dataclass(frozen=True, eq=False)

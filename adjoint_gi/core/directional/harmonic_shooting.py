@@ -132,7 +132,7 @@ class HarmonicShooting:
         flux = np.pi * self.area[index][who, None] * radiance / rays[who, None]
         if not plain:
             exact = self.area[index, None] * self.basis.exitance(coefficients, index)
-            flux = _without_ringing(flux, exact, who, rays, self.scattering.passes[index >> 1])
+            flux = _carrying(flux, exact, who, rays)
         if self.caster.tinted:
             arriving = flux * np.tile(np.concatenate([p[3] for p in pieces]), (1, len(used)))
             # What surfaces on the way have taken.
@@ -176,21 +176,11 @@ class HarmonicShooting:
         return most_first(self.unshot_flux(), count)
 
 
-def _without_ringing(flux: np.ndarray, exact: np.ndarray, who: np.ndarray, rays: np.ndarray, passes: np.ndarray) -> np.ndarray:
+def _carrying(flux: np.ndarray, exact: np.ndarray, who: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """Flux (r, k) of rays of sides `who` (r,), each of which casts `rays` (m,), made such that a side's is `exact` (m, k).
 
-    Where light `passes` (m,) a side, its radiance is kept from ringing. Harmonics cut off at an order swing below 0 beside a bright lobe,
-    and by as much too high inside it: a pane passed up to 17 % too much of a lamp, as its critical angle lets only the inside pass. There
-    is no negative light: what is left keeps its shape, the side its flux.
+    What harmonics swing below 0 stays: without it beams turn towards the normal, and the more the higher the order.
     """
-
-    def total(x: np.ndarray) -> np.ndarray:
-        return np.stack([np.bincount(who, x[:, k], len(rays)) for k in range(x.shape[1])], axis=1)
-
-    lit = np.maximum(flux, 0)
-    got = total(lit)
-    good = (exact > 0) & (got > 0) & passes[:, None]
-    scaled = lit * np.where(good, exact / np.where(good, got, 1), 0)[who]
+    total = np.stack([np.bincount(who, flux[:, k], len(rays)) for k in range(flux.shape[1])], axis=1)
     # The mean over the rays is not quite the integral: where a side takes light back, all its rays share the difference.
-    shared = flux + ((exact - total(flux)) / rays[:, None])[who]
-    return np.where(good[who], scaled, shared)
+    return flux + ((exact - total) / rays[:, None])[who]
