@@ -2,7 +2,7 @@
 
     python bench/costs.py atlas [RESOLUTION]        21 cubes below a sun in one atlas (default: 4096); EXR, components and PNG
     python bench/costs.py triangles [NUMBER]        a wavy square of so many triangles (default: 1000000), 512 texels, new UV layer
-    python bench/costs.py derived [NUMBER] [SIDE]   so many images (default: 12) of SIDE pixels (default: 4096) through Hue/Saturation
+    python bench/costs.py derived [NUMBER] [SIDE]   so many opaque images (default: 12) of SIDE pixels (4096) through Hue/Saturation
 
 One scene for each run, as memory is that of the whole process. Path tracing with one sample, not denoised. Blender's start is left out.
 """
@@ -15,6 +15,7 @@ import tempfile
 from pathlib import Path
 
 import bpy
+import numpy as np
 import slices
 from instances import command, load, measured
 
@@ -32,11 +33,26 @@ def triangles(number: int) -> list[str]:
     return ["--resolution", "512"]
 
 
+def photo(k: int, side: int, folder: Path) -> bpy.types.Image:
+    """An opaque image from a file with about as many colours as a photograph: waves in three colours, and grain."""
+    x = np.linspace(0.0, 9.0, side, dtype=np.float32)
+    color = np.ones((side, side, 4), np.float32)
+    for c in range(3):
+        color[..., c] = 0.5 + 0.2 * np.sin(x * (c + 1) + k)[:, None] + 0.2 * np.cos(x * (3 - c))
+    color[..., :3] += np.random.default_rng(k).normal(0.0, 0.02, (side, side, 1))
+    image = bpy.data.images.new(f"Image{k}", side, side, alpha=False)
+    image.pixels.foreach_set(color.ravel())
+    path = str(folder / f"photo{k}.png")
+    image.filepath_raw, image.file_format = path, "PNG"
+    image.save()
+    bpy.data.images.remove(image)
+    return bpy.data.images.load(path)
+
+
 def derived(number: int, side: int, folder: Path) -> list[str]:
-    """Squares, each with an image from a file that a node changes; how they are baked."""
-    slices.SIDE = side
+    """Squares, each with an image that a node changes; how they are baked."""
     for k in range(number):
-        slices.add_textured(k, slices.of_file(k, folder))
+        slices.add_textured(k, photo(k, side, folder))
         tree = bpy.data.materials[f"Material{k}"].node_tree
         (link,) = (x for x in tree.links if x.from_node.type == "TEX_IMAGE")
         source, target = link.from_socket, link.to_socket
