@@ -131,7 +131,7 @@ class DirectionalRadiosity(Solver):
         if run.glass_is_lit((run.first, run.rest)):
             bins = f"{settings.bin_rows} x {settings.bin_columns} bins"
             blurred = f"light that refracts is blurred by {bins}"
-            reason = f"{blurred}: with 8 x 16 one pane's flux was within 5 %, a floor below it got up to 17 % too little (30 % at index 2.4)"
+            reason = f"{blurred}: with 8 x 16 one pane's flux was within 5 %, a floor below it up to 17 % too dark (30 % at index 2.4)"
             run.warn(reason, "Raise bin_rows, bin_columns and rays, or take Particle Tracing where light comes through glass")
         yield from run.finish(f"Solved in {len(run.clock.history)} iterations")
 
