@@ -22,7 +22,7 @@ if "adjgi" not in sys.modules:
     spec = importlib.util.spec_from_file_location("adjgi", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
     sys.modules["adjgi"] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(sys.modules["adjgi"])
-from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse  # noqa: E402
+from adjgi.adjoint_gi.core.gallery.builder import diffuse  # noqa: E402
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material  # noqa: E402
 from adjgi.adjoint_gi.core.scene.world import World  # noqa: E402
 from adjgi.tests import scenes, solving  # noqa: E402
@@ -48,15 +48,7 @@ def scene(
     panes: int = 1,
 ) -> World:
     """Quads 0 to 4 are the box: floor, and walls."""
-    b, black = SceneBuilder(), diffuse("Black", 0.0)
-    b.quad("Floor", (0, 0, 0), (4, 0, 0), (0, 4, 0), black)
-    x, y, z = (4, 0, 0), (0, 4, 0), (0, 0, 1.5)
-    for i, quad in enumerate((((0, 0, 0), y, z), (x, z, y), ((0, 0, 0), z, x), (y, x, z))):
-        b.quad(f"Wall {i}", *quad, black)
-    glass = Material("Pane", (Lobe("glass", Color.of(*color), roughness, ior),))
-    for k in range(panes):
-        low = 1.5 + 0.4 * k
-        b.box(f"Pane {k}", (0.001, 0.001, low), (3.999, 3.999, low + thick), glass, inward=False)
+    b = scenes.box_below_panes(Material("Pane", (Lobe("glass", Color.of(*color), roughness, ior),)), thick, panes)
     if light == "area":
         b.light(Light("Area", "area", (5.0, 5.0, 5.0), position=(2, 2, 2.9), size_x=1.0, size_y=1.0))
     elif light == "sun":

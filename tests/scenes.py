@@ -152,19 +152,26 @@ def _turned_box(b, name, centre, sx, sy, height, angle, material) -> None:
         b.quad(f"{name} {label}", corner, e, f, material)
 
 
-BELOW_AREA = np.array([16.0, 6.0, 6.0, 6.0, 6.0])  # of the five quads of `below_a_pane`
+BELOW_AREA = np.array([16.0, 6.0, 6.0, 6.0, 6.0])  # of the five quads of `box_below_panes`
 
 
-def below_a_pane(light: str, ior: float = 1.45) -> tuple[World, float]:
-    """A black box, open at the top (quads 0 to 4: floor 4 x 4, walls 1.5 high), under a closed pane of clear glass that covers it, under
-    the sky or an area lamp; the flux in W that passes the pane: (1 - R) / (1 + R) of what falls on it, at every angle."""
+def box_below_panes(pane: Material, thick: float = 0.1, panes: int = 1) -> SceneBuilder:
+    """A black box, open at the top (quads 0 to 4: floor 4 x 4, walls 1.5 high), under closed panes that cover it, 0.4 apart; no light."""
     b, black = SceneBuilder(), diffuse("Black", 0.0)
     b.quad("Floor", (0, 0, 0), (4, 0, 0), (0, 4, 0), black)
     x, y, z = (4, 0, 0), (0, 4, 0), (0, 0, 1.5)
     for i, quad in enumerate((((0, 0, 0), y, z), (x, z, y), ((0, 0, 0), z, x), (y, x, z))):
         b.quad(f"Wall {i}", *quad, black)
-    pane = Material("Pane", (Lobe("glass", Color.of(1), 0.0, ior),))
-    b.box("Pane", (0.001, 0.001, 1.5), (3.999, 3.999, 1.6), pane, inward=False)
+    for k in range(panes):
+        low = 1.5 + 0.4 * k
+        b.box(f"Pane {k}", (0.001, 0.001, low), (3.999, 3.999, low + thick), pane, inward=False)
+    return b
+
+
+def below_a_pane(light: str, ior: float = 1.45) -> tuple[World, float]:
+    """`box_below_panes` with one pane of clear glass under the sky or an area lamp; the flux in W that passes the pane: (1 - R) / (1 + R)
+    of what falls on it, at every angle."""
+    b = box_below_panes(Material("Pane", (Lobe("glass", Color.of(1), 0.0, ior),)))
     if light == "area":
         b.light(Light("Area", "area", (5.0, 5.0, 5.0), position=(2, 2, 2.9), size_x=1.0, size_y=1.0))
         # Pairs of points of lamp and pane: 1.3 apart in height.
