@@ -2490,6 +2490,20 @@ BUGS = (
         "except (AdjointError, OSError) as error:  # whatever it was",
         "tests/blender/test_jobs.py -k nobody_thought",
     ),
+    Bug(
+        "what the user has put into the collection of a bake goes with it",
+        "adjoint_gi/bridge/results/real.py",
+        "if collection.objects or collection.children:",
+        "if collection.children:",
+        "tests/blender/test_bake_instances.py -k user_keeps",
+    ),
+    Bug(
+        "scripts in a named file are run",
+        "adjoint_gi/bridge/cli/open.py",
+        "load_ui=False, use_scripts=False",
+        "load_ui=False, use_scripts=True",
+        "tests/blender/test_cli_streams.py -k named_file",
+    ),
 )
 
 

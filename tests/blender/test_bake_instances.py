@@ -338,6 +338,27 @@ def test_what_only_holds_instances_of_another_scene_stays_there():
     assert len(real.objects_of(other)) == 3 and real.collection_of(bpy.context.scene) is None
 
 
+@pytest.mark.parametrize("what", ["object", "object in a collection", "copy"])
+def test_what_the_user_keeps_among_the_objects_of_a_bake_stays_in_the_scene(what):
+    """Whatever stands in the collection of a bake and is no work of it, when all of its work goes, twice."""
+    collections()
+    add_light("SUN", energy=SUN, angle=0.0, location=(0, 0, 9))
+    scene = bpy.context.scene
+    bpy.context.view_layer.update()
+    baking.bake(asked())
+    ours, first = real.collection_of(scene), real.objects_of(scene)[0]
+    own = first.copy() if what == "copy" else bpy.data.objects.new("own", None)
+    (collection("drawer", ours) if what == "object in a collection" else ours).objects.link(own)
+    own.hide_render = False
+    made = {o.name for o in real.objects_of(scene)}
+    wanted = {o.name for o in scene.objects} - made
+    assert own.name in wanted and len(made) == 3
+    for _ in range(2):
+        clear()
+        assert {o.name for o in scene.objects} == wanted and real.collection_of(scene) is None
+        baking.bake(asked())
+
+
 def test_nothing_is_made_for_a_picture():
     linked(bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))).location.z = 9
     bpy.context.scene.camera = bpy.data.objects["Camera"]

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line where its output cannot go, where names forge lines, where its folder is gone; and strict JSON from every method."""
+"""The command line where its output cannot go, where names forge lines, where its folder is gone, where files hold scripts; and strict JSON
+from every method."""
 
 from __future__ import annotations
 
@@ -166,3 +167,28 @@ def test_the_report_of_every_method_is_strict_json(scene, tmp_path, method):
     assert found["method"]["id"] == method
     if method == "particle_tracing":
         assert "infinity" in found["not_numbers"].values()
+
+
+@pytest.mark.parametrize("name", ["check", "bake", "compare"])
+def test_scripts_in_a_named_file_are_not_run(scene, tmp_path, name):
+    """Neither a registered text nor a driver that Blender holds for unsafe, by any command; opened with scripts, the file runs both."""
+    path, mark = tmp_path / "box.blend", tmp_path / "ran"
+    text = bpy.data.texts.new("start")
+    text.use_module, text.name = True, "start.py"
+    text.write(f"open({str(mark)!r}, 'w').close()")
+    bpy.data.objects["Floor"].driver_add("location", 0).driver.expression = "frame.real"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+
+    def ran():
+        bpy.context.scene.frame_set(7)
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        return mark.exists(), bpy.data.objects["Floor"].evaluated_get(depsgraph).location.x == 7.0
+
+    bpy.ops.wm.open_mainfile(filepath=str(path), use_scripts=True)
+    assert ran() == (True, True)
+    mark.unlink()
+    # The folder is a file, so that nothing more is done once the scene is open.
+    told = io.StringIO()
+    with contextlib.redirect_stdout(told), contextlib.redirect_stderr(told):
+        cli.main([name, str(path), *([] if name == "check" else ["--output", str(path)])], in_blender=False)
+    assert bpy.data.filepath == str(path) and ran() == (False, False), told.getvalue()
