@@ -2504,6 +2504,27 @@ BUGS = (
         "load_ui=False, use_scripts=True",
         "tests/blender/test_cli_streams.py -k named_file",
     ),
+    Bug(
+        "a bake that cannot start takes the result of the last one with it",
+        "adjoint_gi/bridge/host/background.py",
+        "        except AdjointError:\n            self.job = before\n            raise\n        ensure_timer()",
+        "        except AdjointError:\n            raise\n        ensure_timer()",
+        "tests/blender/test_jobs.py -k refused_while",
+    ),
+    Bug(
+        "receivers on backs read fronts once elements are refined",
+        "adjoint_gi/core/elements/answer.py",
+        "side=(2 * element + (s.side & 1)).astype(np.int32)",
+        "side=(2 * element).astype(np.int32)",
+        "tests/core/test_elements.py -k goes_over",
+    ),
+    Bug(
+        "samples that are no numbers are told by path tracing alone",
+        "adjoint_gi/core/walks/gathering.py",
+        "*seen, rays, bad, spread=spread_sum",
+        "*seen, rays, 0, spread=spread_sum",
+        "tests/core/test_said_of_results.py -k no_numbers",
+    ),
 )
 
 

@@ -297,6 +297,25 @@ def test_a_bake_that_stopped_for_a_failure_of_its_surroundings_can_be_continued(
     assert (job.state, result().partial, job.solution) == ("finished", False, None)
 
 
+@pytest.mark.parametrize("way", ["start", "run"])
+def test_a_bake_that_is_refused_while_it_is_prepared_leaves_the_last_one_to_go_on(scene, monkeypatch, way):
+    job = start(steps=300, pause=0.002)
+    ticks(lambda: job.bake.driver.fraction > 0.1)
+    BAKES.stop()
+
+    def refuse(self):
+        raise TargetError("Square", "does not fit", "")
+        yield
+
+    with monkeypatch.context() as patch, pytest.raises(TargetError):
+        patch.setattr(FakeBake, "preparing", refuse)
+        start() if way == "start" else BAKES.run(bpy.context, request(), lambda fraction: None)
+    assert BAKES.job is job and job.resumable
+    jobs.resume()
+    ticks(lambda: not job.active)
+    assert (job.state, result().partial) == ("finished", False)
+
+
 def test_writing_again_makes_no_second_file_and_goes_where_the_panel_says(scene, tmp_path, monkeypatch):
     monkeypatch.setattr(jobs.kept, "folder", lambda: tmp_path)
     job = start(steps=2)

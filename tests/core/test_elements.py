@@ -16,6 +16,7 @@ from adjgi.adjoint_gi.core.receivers.base import CameraReceivers, SurfaceReceive
 from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material, RayKind, Source, Term, Texture
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.tests import scenes
+from adjgi.tests.solving import scattered
 
 CASES = {
     "cube whole": (scenes.cube, 1.0),
@@ -374,6 +375,25 @@ def test_refined_elements_know_where_they_come_from():
     repeated = values.reshape(-1, 2, 2)[fine.root].reshape(-1, 2)
     assert np.allclose(over_base(fine, base, repeated), values)
     assert np.allclose(smoothed(fine, base, np.ones((2 * fine.count, 1))), 1)
+
+
+@pytest.mark.parametrize("scene", [scenes.cornell, lambda: scenes.two_zone_sphere(0)])
+def test_an_answer_that_goes_over_to_smaller_elements_is_that_of_the_smaller_ones(scene):
+    """Whatever light they have, on fronts and on backs, and however often they were cut."""
+    rng, base = np.random.default_rng(15), Elements(World(scene()), 0.7)
+    facing = base.world.rows[:, 9:12] * np.where(rng.random(base.world.triangle_count) < 0.5, np.float32(-1), np.float32(1))[:, None]
+    points = scattered(base.world, 500, seed=16)
+    receivers = SurfaceReceivers("texels", points.start, points.triangle, points.u, points.v, facing)
+    answer = ElementAnswer(base, receivers)
+    for _ in answer.prepare():
+        pass
+    for _ in range(2):
+        base = RefinedElements(base, rng.random(base.count) < 0.4)
+        answer.refine(base)
+        light = rng.random((2, 2 * base.count, 3))
+        moved, anew = answer.parts(*light), answer_at(receivers, base, *light)
+        for name in ("direct", "indirect"):
+            np.testing.assert_allclose(getattr(moved, name), getattr(anew, name), atol=1e-4, err_msg=name)
 
 
 def test_contrast_is_high_at_a_step_and_none_where_light_is_even():

@@ -144,6 +144,31 @@ def test_a_background_that_lights_nothing_is_said_once(name):
     assert not said(solve(name, room(0.5), scattered(room(0.5), 5)), "black")
 
 
+GATHERED = dict.fromkeys(("local_illumination", "whitted", "irradiance_cache"), {}) | dict.fromkeys(
+    ("distribution", "path_tracing"), {"samples": 2}
+)
+GATHERED |= {name: ON_ELEMENTS[name] for name in ("two_pass", "multi_pass")}
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("measure", ["irradiance", "radiance"])
+@pytest.mark.parametrize("name", GATHERED)
+def test_samples_that_are_no_numbers_are_told_by_all_methods_that_gather(name, measure):
+    """A lamp whose light overflows close by: nothing that is not a number gets out, and what was left out instead is said; else nothing."""
+    for color in (1.0, 1e37):
+        b = SceneBuilder()
+        b.quad("Floor", (0, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Grey", 0.5))
+        b.light(Light("Lamp", "point", (color,) * 3, (0.5, 0.5, 0.05)))
+        b.camera = Camera("orthographic", (0.5, 0.5, 2), (1, 0, 0), (0, 1, 0), (0, 0, -1), (-0.5, 0.5, -0.5, 0.5), 8, 8)
+        world = World(b.build())
+        receivers = CameraReceivers(world) if measure == "radiance" else quad_points(*grid(8))
+        found = solve(name, world, receivers, **GATHERED[name])
+        told = [w for w in found.warnings if "were not numbers" in w.reason]
+        assert all(np.isfinite(x).all() for x in (found.direct, found.indirect)) and len(told) == (color > 1)
+        dark = int((found.direct == 0).all(axis=1).sum())
+        assert not told or int(told[0].reason.split()[0]) >= dark > 0
+
+
 def test_noise_is_said_with_what_it_takes():
     settings = method("path_tracing").Settings(samples=256)
     assert noise.notices(None, settings, "Path Tracing", "irradiance", 1) == ()

@@ -213,7 +213,7 @@ class Run:
             sight = see(self.emitters, self.receivers, points, rng, self.settings.min_length == 0, split)
             layers, emitted, rays = sight.layers, sight.emitted, sight.rays
         direct, indirect, albedo, spread = np.zeros((4, len(owner), 3), np.float32)
-        spreads, tail = False, None
+        spreads, tail, spoiled = False, None, np.zeros(len(owner), bool)
         for layer in layers:
             at = np.flatnonzero(layer.points.triangle >= 0)
             if not len(at):
@@ -222,8 +222,11 @@ class Run:
             surface = self.world.surface(there.triangle, there.u, there.v, there.towards)
             found = bind(rows)(surface, there.towards if self.is_camera else None, rng)
             weight = np.float32(1) if layer.weight is None else layer.weight[at]
-            direct[rows] += weight * np.where(np.isfinite(found.direct), found.direct, 0)
-            indirect[rows] += weight * np.where(np.isfinite(found.indirect), found.indirect, 0)
+            # Nothing that is not a number may get out.
+            good = (np.isfinite(found.direct) & np.isfinite(found.indirect)).all(axis=1)[:, None]
+            direct[rows] += weight * np.where(good, found.direct, 0)
+            indirect[rows] += weight * np.where(good, found.indirect, 0)
+            spoiled[rows] |= ~good[:, 0]
             if self.is_camera:
                 albedo[rows] += weight * self.world.albedo(surface)
             if found.spread is not None:
@@ -238,7 +241,8 @@ class Run:
             return np.stack([np.bincount(owner, values[:, c], last - first) for c in range(3)], axis=1)
 
         seen = [total(emitted), total(albedo)] if self.is_camera else [None, None]
-        return Sums(first, last, many, total(direct), total(indirect), *seen, rays, spread=total(spread) if spreads else None, tail=tail)
+        spread_sum, bad = total(spread) if spreads else None, int(spoiled.sum())
+        return Sums(first, last, many, total(direct), total(indirect), *seen, rays, bad, spread=spread_sum, tail=tail)
 
     def _add(self, sums: Sums) -> None:
         part = slice(sums.first, sums.last)
