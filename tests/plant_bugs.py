@@ -2525,6 +2525,13 @@ BUGS = (
         "*seen, rays, 0, spread=spread_sum",
         "tests/core/test_said_of_results.py -k no_numbers",
     ),
+    Bug(
+        "texels without a sample are black pixels to an image denoiser",
+        "adjoint_gi/core/denoise/images.py",
+        "own = (image >= 0) & valid[np.maximum(image, 0)]",
+        "own = image >= 0",
+        "tests/core/test_denoise.py -k darken_nobody",
+    ),
 )
 
 

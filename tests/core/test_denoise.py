@@ -128,12 +128,19 @@ def test_filter_keeps_edges_that_stand_out_of_the_noise():
     assert np.abs(clean - right).mean() < 0.6 * np.abs(values - right).mean()
 
 
-def test_receivers_without_a_sample_stay_black_and_darken_nobody():
-    ground = grid(np.zeros((8, 8), np.int64))
-    values = np.ones((64, 3), np.float32)
-    values[::2] = 0
-    found = dataclasses.replace(result(0 * values, values), weight=values[:, 0].copy())
-    for denoiser in (own_denoiser(ground), image_denoiser(ground, lambda image, *_: image)):
+@pytest.mark.parametrize("holes", ["every other", "at random", "half"])
+def test_receivers_without_a_sample_stay_black_and_darken_nobody(holes):
+    """Nor do they brighten anybody, by a denoiser that leaves all as it is or takes the mean of a pixel and all around it."""
+    ground, n = grid(np.zeros((16, 16), np.int64)), 256
+    lit = {"every other": np.arange(n) % 2 == 1, "at random": np.random.default_rng(8).random(n) < 0.7, "half": np.arange(n) < n // 2}[holes]
+    values = np.repeat(lit.astype(np.float32)[:, None], 3, axis=1)
+    noise = result(0 * values, values, direct_error=0 * values[:, 0], indirect_error=np.full(n, 0.5, np.float32))
+    found = dataclasses.replace(noise, weight=values[:, 0].copy())
+
+    def blur(image, *_):
+        return sum(np.roll(image, (y, x), (0, 1)) for y in (-1, 0, 1) for x in (-1, 0, 1)) / np.float32(9)
+
+    for denoiser in (own_denoiser(ground), image_denoiser(ground, lambda image, *_: image), image_denoiser(ground, blur)):
         clean = denoised(found, ground, denoiser)
         assert np.allclose(clean.indirect, values, atol=1e-6)
 
