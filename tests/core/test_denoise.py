@@ -132,7 +132,8 @@ def test_filter_keeps_edges_that_stand_out_of_the_noise():
 def test_receivers_without_a_sample_stay_black_and_darken_nobody(holes):
     """Nor do they brighten anybody, by a denoiser that leaves all as it is or takes the mean of a pixel and all around it."""
     ground, n = grid(np.zeros((16, 16), np.int64)), 256
-    lit = {"every other": np.arange(n) % 2 == 1, "at random": np.random.default_rng(8).random(n) < 0.7, "half": np.arange(n) < n // 2}[holes]
+    k, random = np.arange(n), np.random.default_rng(8).random(n)
+    lit = {"every other": k % 2 == 1, "at random": random < 0.7, "half": k < n // 2}[holes]
     values = np.repeat(lit.astype(np.float32)[:, None], 3, axis=1)
     noise = result(0 * values, values, direct_error=0 * values[:, 0], indirect_error=np.full(n, 0.5, np.float32))
     found = dataclasses.replace(noise, weight=values[:, 0].copy())
