@@ -94,7 +94,7 @@ def test_even_an_image_denoiser_that_blurs_all_keeps_the_charts_apart():
         return np.full_like(image, image.mean())
 
     noise = np.full(piece.size, 0.5, np.float32)
-    clean = denoised(result(0 * values, values, indirect_error=noise, direct_error=0 * noise), ground, image_denoiser(ground, blur))
+    clean = denoised(result(0 * values, values, indirect_error=noise, direct_error=0 * noise), ground, image_denoiser(ground, blur, np.random.default_rng(0)))
     assert np.allclose(clean.indirect, values, rtol=1e-5)
     ((image, albedo, normal),) = seen  # one layer, the noisy one
     assert (
@@ -141,7 +141,8 @@ def test_receivers_without_a_sample_stay_black_and_darken_nobody(holes):
     def blur(image, *_):
         return sum(np.roll(image, (y, x), (0, 1)) for y in (-1, 0, 1) for x in (-1, 0, 1)) / np.float32(9)
 
-    for denoiser in (own_denoiser(ground), image_denoiser(ground, lambda image, *_: image), image_denoiser(ground, blur)):
+    images = (image_denoiser(ground, f, np.random.default_rng(0)) for f in (lambda image, *_: image, blur))
+    for denoiser in (own_denoiser(ground), *images):
         clean = denoised(found, ground, denoiser)
         assert np.allclose(clean.indirect, values, atol=1e-6)
 
@@ -310,7 +311,7 @@ def test_images_and_layers_that_share_a_packed_image_come_back_to_their_places()
         for name, scale in zip("ab", (1, 1000), strict=True)
     ]
     seen = []
-    found = image_denoiser(ground, lambda image, *_: seen.append(image.mean()) or image)(layers)
+    found = image_denoiser(ground, lambda image, *_: seen.append(image.mean()) or image, np.random.default_rng(0))(layers)
     assert len(seen) == 1
     for layer, values in zip(layers, found, strict=True):
         assert values == pytest.approx(layer.values, rel=1e-5)
@@ -327,9 +328,26 @@ def test_pixels_far_apart_may_lie_as_much_farther_from_the_plane():
 
 def test_beside_a_chart_lies_its_own_mirror_image():
     """Where it is too narrow for one, what lies at its border; never the chart behind it."""
-    tile = Tile.of(np.array([[0, 1, 2]]), np.ones(3, bool), np.array([0, 1, 1]))
+    tile = Tile.of(np.array([[0, 1, 2]]), np.ones(3, bool), np.array([0, 1, 1]), np.random.default_rng(0))
     assert tile.receiver[BORDER, BORDER - 1 : BORDER + 4].tolist() == [0, 0, 1, 2, 1]
     assert tile.own[BORDER, BORDER - 1 : BORDER + 4].tolist() == [False, True, True, True, False]
+
+
+@pytest.mark.parametrize("shape", [(1, 60), (60, 1), (2, 60), (3, 5)], ids=str)
+def test_charts_of_few_rows_are_not_drawn_out_to_streaks(shape):
+    """What lies beside a chart shows others of its texels than those in the same row, and nothing of the chart next to it."""
+    h, w = shape
+    image = np.full((2 * h + 12, w + 12), -1)
+    image[4 : 4 + h, 4 : 4 + w] = np.arange(h * w).reshape(shape)
+    image[8 + h : 8 + 2 * h, 4 : 4 + w] = np.arange(h * w, 2 * h * w).reshape(shape)
+    piece = np.repeat([0, 1], h * w)
+    tile = Tile.of(image, np.ones(2 * h * w, bool), piece, np.random.default_rng(5))
+    y, x = np.nonzero(tile.own)
+    around = np.stack([tile.receiver[y + dy, x + dx] for dy in range(-2, 3) for dx in range(-2, 3)])
+    assert (piece[around] == piece[around[12]]).all()
+    if 1 in shape:
+        across = [2, 7, 17, 22] if h == 1 else [10, 11, 13, 14]
+        assert np.mean(around[across] == around[12]) < 0.7  # all of them, if the row were drawn out
 
 
 def test_pixels_lie_where_their_rays_meet_the_floor():

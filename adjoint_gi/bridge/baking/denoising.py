@@ -33,7 +33,7 @@ def _with_blender(ground: Ground, told: list[Notice]) -> Denoiser:
     own = own_denoiser(ground)
     if not isinstance(ground.neighbours, GridNeighbours):
         return own
-    by_blender = image_denoiser(ground, compositor.denoise)
+    by_blender = image_denoiser(ground, compositor.denoise, np.random.default_rng(0))
 
     def denoise(layers: Sequence[NoisyLight]) -> list[np.ndarray]:
         try:

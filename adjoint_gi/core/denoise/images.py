@@ -15,17 +15,18 @@ from .step import Denoiser, NoisyLight
 DenoiseImage = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 REACH = 16  # pixels by which charts are continued, so that neither black nor other charts come near
 BORDER = 8  # pixels around every part of a packed image
+DRAWS = 4  # tries of a pixel beside a chart to find one inside at random, where the mirrored one is not in it
 LARGEST = 1 << 22  # pixels of one packed image, unless one part alone has more
 
 
-def image_denoiser(ground: Ground, denoise_image: DenoiseImage) -> Denoiser:
+def image_denoiser(ground: Ground, denoise_image: DenoiseImage, rng: np.random.Generator) -> Denoiser:
     """`denoise_image` for receivers that are pixels of images."""
     assert isinstance(ground.neighbours, GridNeighbours)
     images = ground.neighbours.images
 
     def denoise(layers: Sequence[NoisyLight]) -> list[np.ndarray]:
         out = [np.array(layer.values) for layer in layers]
-        tiles = [Tile.of(image, layers[0].valid, ground.piece) for image in images]
+        tiles = [Tile.of(image, layers[0].valid, ground.piece, rng) for image in images]
         for part in _batches([(k, tile) for tile in tiles if tile.own.any() for k in range(len(layers))]):
             _run(part, ground, layers, out, denoise_image)
         return out
@@ -37,8 +38,8 @@ def image_denoiser(ground: Ground, denoise_image: DenoiseImage) -> Denoiser:
 class Tile:
     """One image with a border.
 
-    receiver   (h, w) int64 that each pixel shows, -1 far from all charts; beside a chart those inside its border, mirrored: a single
-               noisy texel that was drawn out would look like light
+    receiver   (h, w) int64 that each pixel shows, -1 far from all charts; beside a chart those inside its border, mirrored, or, where the
+               chart is narrower than that, some near it: a single noisy texel that was drawn out would look like light
     own        (h, w) bool, pixels that are not such
     """
 
@@ -46,7 +47,7 @@ class Tile:
     own: np.ndarray
 
     @staticmethod
-    def of(image: np.ndarray, valid: np.ndarray, piece: np.ndarray) -> Tile:
+    def of(image: np.ndarray, valid: np.ndarray, piece: np.ndarray, rng: np.random.Generator) -> Tile:
         """Of an image (h, w) of receivers, those that are `valid` (n,), each of a `piece` (n,)."""
         image = np.pad(image, BORDER, constant_values=-1)
         own = (image >= 0) & valid[np.maximum(image, 0)]
@@ -59,6 +60,15 @@ class Tile:
         fits = own[v, u] & (piece[np.maximum(mirrored, 0)] == piece[shown])
         receiver = np.where(own, image, -1)
         receiver[y, x] = np.where(fits, mirrored, shown)
+
+        # Of charts of few rows, others no farther away than the nearest: a row that is repeated has no noise across it.
+        reach = np.maximum(np.abs(nearest // image.shape[1] - y), np.abs(nearest % image.shape[1] - x))
+        for _ in range(DRAWS):
+            y, x, nearest, reach, shown = (array[~fits] for array in (y, x, nearest, reach, shown))
+            v = np.clip(nearest // image.shape[1] + rng.integers(-reach, reach + 1), 0, image.shape[0] - 1)
+            u = np.clip(nearest % image.shape[1] + rng.integers(-reach, reach + 1), 0, image.shape[1] - 1)
+            fits = own[v, u] & (piece[np.maximum(image[v, u], 0)] == piece[shown])
+            receiver[y[fits], x[fits]] = image[v[fits], u[fits]]
         return Tile(receiver, own)
 
 
