@@ -58,7 +58,8 @@ def main() -> int:
         by_blender = image_denoiser(ground, compositor.denoise, np.random.default_rng(0))
         found = [noisy, *(denoised(noisy, ground, denoiser) for denoiser in (own_denoiser(ground), by_blender))]
         errors = [float(np.sqrt(((s.indirect.mean(axis=1) / right - 1) ** 2).mean())) for s in found]
-        print(f"charts of {rows} x {LONG} texels: as computed {errors[0]:.3f}, own filter {errors[1]:.3f}, Blender's denoiser {errors[2]:.3f}")
+        words = ", ".join(f"{name} {error:.3f}" for name, error in zip(results, errors, strict=True))
+        print(f"charts of {rows} x {LONG} texels: {words}")
     return 0
 
 

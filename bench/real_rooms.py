@@ -3,10 +3,10 @@
 
     python bench/real_rooms.py FOLDER_OR_FILE ... [--samples 16] [--resolution 512] [--width 480] [--seconds 300] [--out out/real_rooms]
 
-Each file is opened, rendered, baked to one atlas by the default method with so many samples a texel, shown, and rendered again (a Python with
-bpy). Printed are the seconds of the bake and, of the pixels that are no background, how many are darker than half and brighter than twice what
-Cycles shows, where either is above 2 % of the mean. Of what the light is not baked, gloss and see-through, that is no fault; the
-pictures OUT/NAME.png (left as it was, right as baked) tell which. A folder is searched for .blend files; some are without a camera.
+Each file is opened, rendered, baked to one atlas by the default method with so many samples a texel, shown, and rendered again (a
+Python with bpy). Printed are the seconds of the bake and, of the pixels that are no background, how many are darker than half and how many
+brighter than twice what Cycles shows. Of gloss and what is seen through, which no lightmap holds, that is no fault; the pictures
+OUT/NAME.png (left as it was, right as baked) tell which. A folder is searched for .blend files; those without a camera are left out.
 """
 
 from __future__ import annotations
@@ -79,9 +79,9 @@ def one(path: Path, options: argparse.Namespace) -> None:
     after = rendered(scene, options.out / f"{name}_baked.png", options.width)
     light = before.mean(axis=2), after.mean(axis=2)
     seen = np.maximum(*light) > 0.02 * light[0].mean()
-    dark = (seen & (light[1] < 0.5 * light[0])).sum() / seen.sum()
-    bright = (seen & (light[1] > 2.0 * light[0])).sum() / seen.sum()
-    print(f"LINE {name}: {seconds:.0f} s; darker than half {dark:.1%}, brighter than twice {bright:.1%}, mean {after.mean() / before.mean():.3f}")
+    dark, bright = ((seen & wrong).sum() / seen.sum() for wrong in (light[1] < 0.5 * light[0], light[1] > 2.0 * light[0]))
+    mean = after.mean() / before.mean()
+    print(f"LINE {name}: {seconds:.0f} s; darker than half {dark:.1%}, brighter than twice {bright:.1%}, mean {mean:.3f}")
     sheet = np.concatenate([png(options.out / f"{name}_{which}.png") for which in ("cycles", "baked")], axis=1)
     image = bpy.data.images.new("sheet", sheet.shape[1], sheet.shape[0])
     image.pixels.foreach_set(np.ascontiguousarray(sheet).ravel())

@@ -94,7 +94,8 @@ def test_even_an_image_denoiser_that_blurs_all_keeps_the_charts_apart():
         return np.full_like(image, image.mean())
 
     noise = np.full(piece.size, 0.5, np.float32)
-    clean = denoised(result(0 * values, values, indirect_error=noise, direct_error=0 * noise), ground, image_denoiser(ground, blur, np.random.default_rng(0)))
+    denoiser = image_denoiser(ground, blur, np.random.default_rng(0))
+    clean = denoised(result(0 * values, values, indirect_error=noise, direct_error=0 * noise), ground, denoiser)
     assert np.allclose(clean.indirect, values, rtol=1e-5)
     ((image, albedo, normal),) = seen  # one layer, the noisy one
     assert (
