@@ -116,10 +116,85 @@ def test_a_render_has_the_layers_also_where_it_subdivides_more():
     assert Seen.lightmap.overlapping == 0 and Seen.lightmap.no_area == 0 and Seen.lightmap.outside == 0
 
 
+class Places(bpy.types.RenderEngine):
+    """Notes what `middles` has of the box that a render is given."""
+
+    bl_idname, bl_label = "ADJOINT_GI_PLACES", "Places"
+    found = ()
+
+    def render(self, depsgraph):
+        Places.found = middles(next(i.object.data for i in depsgraph.object_instances if i.object.name == "Box"))
+
+
+def middles(mesh):
+    """Of each face its middle, the middle of its UVs, and how far these reach."""
+    uv = uvs(mesh)
+    own = [uv[list(p.loop_indices)] for p in mesh.polygons]
+    reach = [np.ptp(x, axis=0).max() for x in own]
+    return np.array([p.center for p in mesh.polygons]), np.array([x.mean(axis=0) for x in own]), np.array(reach)
+
+
+def asks_for_the_viewport(obj):
+    """A modifier that subdivides in renders only."""
+    tree = bpy.data.node_groups.new("Finer", "GeometryNodeTree")
+    for way in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
+    names = ("NodeGroupInput", "GeometryNodeSubdivideMesh", "GeometryNodeIsViewport", "GeometryNodeSwitch", "NodeGroupOutput")
+    start, finer, here, switch, end = (tree.nodes.new(name) for name in names)
+    switch.input_type = "GEOMETRY"
+    choice = [next(s for s in switch.inputs if s.name == name and s.enabled) for name in ("Switch", "False", "True")]
+    tree.links.new(start.outputs[0], finer.inputs["Mesh"])
+    for socket, value in zip(choice, (here.outputs[0], finer.outputs["Mesh"], start.outputs[0]), strict=True):
+        tree.links.new(value, socket)
+    tree.links.new(next(s for s in switch.outputs if s.enabled), end.inputs[0])
+    modifier = obj.modifiers.new("Finer", "NODES")
+    modifier.node_group = tree
+    return modifier
+
+
+@pytest.mark.parametrize("differs", ["levels", "in renders", "in the viewport", "nodes"])
+def test_a_render_with_other_faces_has_the_texels_of_the_places_it_shows(differs):
+    """The nearest ones of the mesh that the viewport shows, never across the border of a chart; an edit in the viewport is still told."""
+    obj = box("Box", "SUBSURF", "SOLIDIFY")
+    finer, thick = obj.modifiers
+    finer.levels, finer.render_levels, thick.thickness = 2, 3 if differs == "levels" else 2, 0.01
+    if differs == "nodes":
+        asks_for_the_viewport(obj)
+        obj.modifiers.move(2, 1)
+    elif differs != "levels":
+        more = obj.modifiers.new("More", "SUBSURF")
+        more.subdivision_type, more.show_viewport, more.show_render = "SIMPLE", differs == "in the viewport", differs == "in renders"
+        obj.modifiers.move(2, 1)
+    make_lightmap_uv(obj)
+    (center, place, reach), scene = middles(evaluated(obj)), bpy.context.scene
+    assert fits(obj) == "" and len(carried.carried(obj).triangles) == 2 * len(center)
+    scene.camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    bpy.utils.register_class(Places)
+    try:
+        scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = Places.bl_idname, 8, 8
+        bpy.ops.render.render()
+    finally:
+        bpy.utils.unregister_class(Places)
+    centers, places, reaches = Places.found
+    assert len(centers) != len(center)
+    nearest = np.linalg.norm(places[:, None] - place, axis=2).argmin(axis=1)
+    assert np.linalg.norm(centers - center[nearest], axis=1).max() < 0.15  # faces are 0.1 to 0.2 wide
+    assert reaches.max() < 2.1 * reach.max()
+    finer.levels = 1
+    assert "other faces" in fits(obj)
+    assert remove_lightmap_uv(obj) and counts()[:2] == (2, 1)
+
+
+def test_where_renders_have_the_same_faces_no_more_is_held():
+    obj = box("Box", "BEVEL")
+    make_lightmap_uv(obj)
+    assert not len(carried.carried(obj).triangles) and not carried.holder(obj).data.polygons
+
+
 def test_every_corner_has_what_it_was_given_also_in_a_file(tmp_path):
     obj = box("Box", "SOLIDIFY", "ARRAY")
     make_lightmap_uv(obj, resolution=128, padding=2)
-    given, _ = carried.carried(obj)
+    given = carried.carried(obj).uv
     assert np.array_equal(uvs(evaluated(obj)), given)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
@@ -140,7 +215,7 @@ def test_a_gltf_export_has_the_layer(tmp_path):
     accessor = head["accessors"][head["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]]
     start = 20 + size + 8 + head["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
     got = np.frombuffer(data, np.float32, 2 * accessor["count"], start).reshape(-1, 2)
-    given = carried.carried(obj)[0]
+    given = carried.carried(obj).uv
     known = {(round(float(u), 5), round(1 - float(v), 5)) for u, v in given}
     assert {(round(float(u), 5), round(float(v), 5)) for u, v in got} == known and len(known) > 40
 
@@ -283,7 +358,7 @@ def test_names_of_the_user_are_left_alone():
 def test_what_a_refused_bake_made_is_taken_back(monkeypatch):
     plain, array, twin = box("Plain"), box("Array", "ARRAY"), box("Twin", "SOLIDIFY")
     make_lightmap_uv(twin)
-    kept, before = carried.carried(twin)[0], counts()
+    kept, before = carried.carried(twin).uv, counts()
 
     def refuse(*args, **more):
         raise AdjointError("Texels", "do not fit", "")
@@ -292,7 +367,7 @@ def test_what_a_refused_bake_made_is_taken_back(monkeypatch):
     with pytest.raises(AdjointError, match="do not fit"):
         Bake(bpy.context, request(**BUILT))
     assert not plain.data.uv_layers and not plain.data.keys() and carried.carrier(array) is None
-    assert counts() == before and np.array_equal(carried.carried(twin)[0], kept)
+    assert counts() == before and np.array_equal(carried.carried(twin).uv, kept)
 
 
 @pytest.mark.parametrize("going", ["a check", "Clear Results"])
@@ -358,11 +433,11 @@ def test_uvs_are_renewed_on_request_and_by_the_button(registered):
     bake(request(**BUILT))
     carried.holder(obj).data.vertices[0].co.x = 0.123
     bake(request(**BUILT))
-    assert carried.carried(obj)[0][0, 0] == np.float32(0.123), "what fits stays"
+    assert carried.carried(obj).uv[0, 0] == np.float32(0.123), "what fits stays"
     bake(request(**BUILT, renew_uvs=True))
-    assert carried.carried(obj)[0][0, 0] != np.float32(0.123)
+    assert carried.carried(obj).uv[0, 0] != np.float32(0.123)
     carried.holder(obj).data.vertices[0].co.x = 0.123
     bpy.context.scene.adjoint_gi.selection_only = False
-    assert bpy.ops.adjoint_gi.renew_uvs() == {"FINISHED"} and carried.carried(obj)[0][0, 0] != np.float32(0.123)
+    assert bpy.ops.adjoint_gi.renew_uvs() == {"FINISHED"} and carried.carried(obj).uv[0, 0] != np.float32(0.123)
     bpy.context.scene.adjoint_gi.uv_layer = "Mine"
     assert not bpy.ops.adjoint_gi.renew_uvs.poll()

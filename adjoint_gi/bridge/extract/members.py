@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import bpy
 
 from ..host import versions
+from ..host.viewport import node_trees
 
 NAMED = {"GeometryNodeInputObject": "object", "GeometryNodeInputCollection": "collection"}  # nodes that hold what they give
 
@@ -69,18 +70,6 @@ def references(host: bpy.types.Object) -> References:
                 out.objects.update(value.objects)
             out.collections += value.children if separate == {True} else [value]
     return out
-
-
-def node_trees(host: bpy.types.Object) -> Iterator[bpy.types.NodeTree]:
-    """The geometry node trees of an object's modifiers, with the groups inside them, each once."""
-    waiting = [m.node_group for m in host.modifiers if m.type == "NODES" and m.node_group is not None]
-    seen: set[bpy.types.NodeTree] = set()
-    while waiting:
-        tree = waiting.pop()
-        if tree not in seen:
-            seen.add(tree)
-            yield tree
-            waiting += [node.node_tree for node in tree.nodes if getattr(node, "node_tree", None) is not None]
 
 
 def _separates(node: bpy.types.Node) -> bool | None:

@@ -5,6 +5,9 @@ A hidden object has one loose vertex for each corner of the evaluated mesh: x an
 A geometry-nodes modifier, whose node group all objects share, samples them by index and stores them as a named attribute on corners,
 which is a UV map to everything behind it. Where count or vertices of the corners are others by now, every corner gets `NO_PLACE`.
 
+Where renders have other faces than the viewport (levels of subdivision, modifiers that are on in one of them), the hidden object
+also has the triangles of the mesh, and an attribute `PLACE` of where they lie: faces of a render take the UV of the nearest of them.
+
 The modifier is the last one and is kept there. Only subdivision behind everything else stays behind it: it carries UVs on by itself,
 and has other levels in renders than in the viewport.
 """
@@ -13,11 +16,12 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
-from ..host.meshes import positions
+from ..host.meshes import copied, corner_vertices, positions
 from ..host.versions import modifier_input, set_modifier_input
 from . import links as targets
 from . import stored
@@ -27,11 +31,24 @@ from .stored import HOLDER, TREE
 
 KIND = "carry"  # value of our custom property of node groups that says which group this is
 GROUP = "Adjoint GI Lightmap UV"
+PLACE = "adjoint_gi_place"  # attribute of hidden objects: places of the corners on the mesh
+SLOPES, ORIGIN = ("adjoint_gi_u", "adjoint_gi_v"), "adjoint_gi_uv_origin"  # of its triangles: u is slope . place + origin
 NO_PLACE = (-1.0, -1.0, 0.0)  # the UV of a mesh that the layer was not made for; no texel lies there
 SUBDIVIDES = {"SUBSURF", "MULTIRES"}
 # Modifiers behind which UVs of the mesh before them are still without overlap: those of others would lie on the same texels.
 KEEPS_UVS = KEEPS_TOPOLOGY | SUBDIVIDES | {"TRIANGULATE", "EDGE_SPLIT", "PARTICLE_SYSTEM", "COLLISION", "SURFACE"}
 CHANGED = "The mesh has changed since its lightmap UVs were made. Renew them and bake again"
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """What the hidden object has of n corners: `uv` (n, 2) float32 and the `vertex` (n,) int32 of each; and, where renders have other
+    faces, the corners of the `triangles` (nt, 3) int32 and the `places` (n, 3) float32 of all; else these two are empty."""
+
+    uv: np.ndarray
+    vertex: np.ndarray
+    triangles: np.ndarray
+    places: np.ndarray
 
 
 def must_carry(obj: bpy.types.Object) -> bool:
@@ -63,8 +80,9 @@ def holder(obj: bpy.types.Object) -> bpy.types.Object | None:
 
 
 def is_holder(obj: bpy.types.Object) -> bool:
-    """Whether a bake has made `obj` to hold UVs, whatever a damaged file says: it is of vertices only."""
-    return obj.type == "MESH" and not obj.data.polygons and stored.read(obj, HOLDER) is not None
+    """Whether a bake has made `obj` to hold UVs, whatever a damaged file says: it is of vertices only, or these have places elsewhere."""
+    vertices_only = obj.type == "MESH" and (not obj.data.polygons or PLACE in obj.data.attributes)
+    return vertices_only and stored.read(obj, HOLDER) is not None
 
 
 def belongs_to(obj: bpy.types.Object) -> bool:
@@ -107,17 +125,17 @@ def subdivided(obj: bpy.types.Object, count: int, view_layer: bpy.types.ViewLaye
         evaluated.to_mesh_clear()
 
 
-def carry(obj: bpy.types.Object, name: str, uv: np.ndarray, vertex: np.ndarray) -> None:
-    """Have `obj` carry `uv` (n, 2) float32 of the corners of its evaluated mesh at our `stage`, which belong to `vertex` (n,) int32.
+def carry(obj: bpy.types.Object, name: str, held: Held) -> None:
+    """Have `obj` carry what is `held` of the corners of its evaluated mesh at our `stage`, as a UV map called `name`.
 
-    The UV map is called `name`. What it carried before is replaced.
+    What it carried before is replaced.
     """
     modifier, old = carrier(obj), holder(obj)
     own = old if belongs_to(obj) else None
     if own is None:
         own = bpy.data.objects.new(f"{obj.name} {name}", bpy.data.meshes.new(f"{obj.name} {name}"))
         own[HOLDER] = True
-    _fill(own.data, uv, vertex)
+    _fill(own.data, held)
     if modifier is None:
         modifier = obj.modifiers.new(GROUP, "NODES")
         modifier.show_expanded = False
@@ -131,13 +149,15 @@ def carry(obj: bpy.types.Object, name: str, uv: np.ndarray, vertex: np.ndarray) 
         _remove([old])
 
 
-def carried(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray] | None:
-    """UV (n, 2) float32 and vertex (n,) int32 of every corner as given to `carry`; None where there is nothing."""
+def carried(obj: bpy.types.Object) -> Held | None:
+    """What was given to `carry`; None where there is nothing."""
     own = holder(obj)
     if own is None:
         return None
-    points = positions(own.data)
-    return points[:, :2].copy(), points[:, 2].astype(np.int32)
+    points, places = positions(own.data), np.empty((0, 3), np.float32)
+    if PLACE in own.data.attributes:
+        places = copied(own.data.attributes[PLACE].data, "vector", 3, np.float32)
+    return Held(points[:, :2].copy(), points[:, 2].astype(np.int32), corner_vertices(own.data).reshape(-1, 3), places)
 
 
 def drop(obj: bpy.types.Object) -> bool:
@@ -192,19 +212,77 @@ def node_group() -> bpy.types.NodeTree:
     differs = _node(tree, "FunctionNodeCompare", data_type="FLOAT", operation="NOT_EQUAL", A=vertex, B=expected)
     _socket(differs.inputs, "Epsilon").default_value = 0.5
     most = _node(tree, "GeometryNodeAttributeStatistic", domain="CORNER", Geometry=mesh, Attribute=differs.outputs["Result"])
-    changed = _node(tree, "FunctionNodeBooleanMath", operation="OR")
-    tree.links.new(others.outputs["Result"], changed.inputs[0])
-    tree.links.new(_socket(most.outputs, "Max"), changed.inputs[1])
+    changed = _either(tree, others.outputs["Result"], _socket(most.outputs, "Max"))
 
-    # Step 3: the UV map.
-    choice = _node(tree, "GeometryNodeSwitch", input_type="VECTOR", Switch=changed.outputs[0], False_=point)
-    _socket(choice.inputs, "True").default_value = NO_PLACE
+    # Step 3: a mesh that is another one in renders has that of the nearest point on the one that the viewport shows.
+    nearest, found = _nearest(tree, held)
+    here = _node(tree, "GeometryNodeIsViewport").outputs["Is Viewport"]
+    instead = _node(tree, "GeometryNodeSwitch", input_type="VECTOR", Switch=_either(tree, here, found), False_=nearest)
+    _socket(instead.inputs, "True").default_value = NO_PLACE
+
+    # Step 4: the UV map.
+    elsewhere = _socket(instead.outputs, "Output")
+    choice = _node(tree, "GeometryNodeSwitch", input_type="VECTOR", Switch=changed, False_=point, True_=elsewhere)
     uv = _socket(choice.outputs, "Output")
     store = _node(tree, "GeometryNodeStoreNamedAttribute", data_type="FLOAT2", domain="CORNER", Geometry=mesh, Value=uv)
     tree.links.new(start.outputs["Name"], store.inputs["Name"])
     tree.links.new(store.outputs["Geometry"], end.inputs["Geometry"])
-    _warn(tree, changed.outputs[0])
+    _warn(tree, changed)
     return tree
+
+
+def _nearest(tree: bpy.types.NodeTree, held: bpy.types.NodeSocket) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
+    """UVs by the triangle that is nearest to each face, of those `held` in their places, and whether there are none.
+
+    A face takes all its corners from one triangle, whose UV goes on evenly beyond it: charts lie far apart. It is looked for from a face's
+    width before its middle: the other side of a thin wall must not be nearer.
+    """
+    faces = _node(tree, "GeometryNodeAttributeDomainSize", Geometry=held).outputs["Face Count"]
+    none = _node(tree, "FunctionNodeCompare", data_type="INT", operation="EQUAL", A=faces).outputs["Result"]
+    triangles = _node(tree, "GeometryNodeSetPosition", Geometry=held, Position=_named(tree, PLACE)).outputs["Geometry"]
+
+    position = _node(tree, "GeometryNodeInputPosition").outputs["Position"]
+    area = _node(tree, "GeometryNodeInputMeshFaceArea").outputs["Area"]
+    width = _node(tree, "ShaderNodeMath", operation="SQRT", Value=area).outputs["Value"]
+    normal = _node(tree, "GeometryNodeInputNormal").outputs["Normal"]
+    before = _node(tree, "ShaderNodeVectorMath", operation="SCALE", Vector=normal, Scale=width).outputs["Vector"]
+    start = _vector(tree, "ADD", _of_face(tree, position), _of_face(tree, before)).outputs["Vector"]
+
+    def of_triangle(name: str) -> bpy.types.NodeSocket:
+        values = {"Mesh": triangles, "Value": _named(tree, name), "Sample_Position": start}
+        return _of_face(tree, _socket(_node(tree, "GeometryNodeSampleNearestSurface", data_type="FLOAT_VECTOR", **values).outputs, "Value"))
+
+    along = [_vector(tree, "DOT_PRODUCT", of_triangle(name), position).outputs["Value"] for name in SLOPES]
+    uv = _node(tree, "ShaderNodeCombineXYZ", X=along[0], Y=along[1]).outputs["Vector"]
+    return _vector(tree, "ADD", uv, of_triangle(ORIGIN)).outputs["Vector"], none
+
+
+def _named(tree: bpy.types.NodeTree, name: str) -> bpy.types.NodeSocket:
+    """A vector attribute."""
+    node = _node(tree, "GeometryNodeInputNamedAttribute", data_type="FLOAT_VECTOR")
+    node.inputs["Name"].default_value = name
+    return _socket(node.outputs, "Attribute")
+
+
+def _vector(tree: bpy.types.NodeTree, operation: str, a: bpy.types.NodeSocket, b: bpy.types.NodeSocket) -> bpy.types.Node:
+    """The node that does this with two vectors."""
+    node = _node(tree, "ShaderNodeVectorMath", operation=operation)
+    for socket, value in zip(node.inputs, (a, b), strict=False):
+        tree.links.new(value, socket)
+    return node
+
+
+def _of_face(tree: bpy.types.NodeTree, value: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+    """The vector `value` that the face has."""
+    return _socket(_node(tree, "GeometryNodeFieldOnDomain", data_type="FLOAT_VECTOR", domain="FACE", Value=value).outputs, "Value")
+
+
+def _either(tree: bpy.types.NodeTree, a: bpy.types.NodeSocket, b: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+    """Whether one of them is true."""
+    node = _node(tree, "FunctionNodeBooleanMath", operation="OR")
+    for socket, value in zip(node.inputs, (a, b), strict=False):
+        tree.links.new(value, socket)
+    return node.outputs[0]
 
 
 def _warn(tree: bpy.types.NodeTree, changed: bpy.types.NodeSocket) -> None:
@@ -217,7 +295,7 @@ def _warn(tree: bpy.types.NodeTree, changed: bpy.types.NodeSocket) -> None:
 
 
 def _node(tree: bpy.types.NodeTree, kind: str, **values: str | bpy.types.NodeSocket) -> bpy.types.Node:
-    """A new node with properties, and links from sockets to its inputs of these names (`False_` for False)."""
+    """A new node with properties, and links from sockets to its inputs of these names (`False_`, `Sample_Position`)."""
     node = tree.nodes.new(kind)
     node.location = (180 * (len(tree.nodes) // 3), -220 * (len(tree.nodes) % 3))
     for name, value in values.items():
@@ -225,7 +303,7 @@ def _node(tree: bpy.types.NodeTree, kind: str, **values: str | bpy.types.NodeSoc
             setattr(node, name, value)
     for name, value in values.items():
         if isinstance(value, bpy.types.NodeSocket):
-            tree.links.new(value, _socket(node.inputs, name.rstrip("_")))
+            tree.links.new(value, _socket(node.inputs, name.rstrip("_").replace("_", " ")))
     return node
 
 
@@ -234,12 +312,30 @@ def _socket(sockets: Sequence[bpy.types.NodeSocket], name: str) -> bpy.types.Nod
     return next(s for s in sockets if s.name == name and s.enabled)
 
 
-def _fill(mesh: bpy.types.Mesh, uv: np.ndarray, vertex: np.ndarray) -> None:
-    """Make `mesh` one loose vertex for each corner. The datablock stays: an undo step may know pointers to it."""
+def _fill(mesh: bpy.types.Mesh, held: Held) -> None:
+    """Make `mesh` one vertex for each corner, and triangles of them. The datablock stays: an undo step may know pointers to it."""
     mesh.clear_geometry()
-    mesh.vertices.add(len(uv))
-    mesh.vertices.foreach_set("co", np.column_stack([uv, vertex]).astype(np.float32).ravel())
-    mesh.update()
+    mesh.vertices.add(len(held.uv))
+    mesh.vertices.foreach_set("co", np.column_stack([held.uv, held.vertex]).astype(np.float32).ravel())
+    if len(held.places):
+        mesh.loops.add(held.triangles.size)
+        mesh.loops.foreach_set("vertex_index", held.triangles.ravel())
+        mesh.polygons.add(len(held.triangles))
+        mesh.polygons.foreach_set("loop_start", np.arange(0, held.triangles.size, 3, dtype=np.int32))
+        mesh.attributes.new(PLACE, "FLOAT_VECTOR", "POINT").data.foreach_set("vector", held.places.ravel())
+        for name, values in zip((*SLOPES, ORIGIN), _slopes(held), strict=True):
+            mesh.attributes.new(name, "FLOAT_VECTOR", "FACE").data.foreach_set("vector", values.astype(np.float32).ravel())
+    mesh.update(calc_edges=bool(len(held.places)))
+
+
+def _slopes(held: Held) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each triangle the slopes of u and v over its plane and (u, v, 0) at the object's origin, (nt, 3) float64."""
+    place, uv = held.places[held.triangles].astype(np.float64), held.uv[held.triangles].astype(np.float64)
+    along, flat = place[:, 1:] - place[:, :1], uv[:, 1:] - uv[:, :1]
+    # The slope s of u has along @ s = flat, and lies in the plane: the solution of least length.
+    slope = np.linalg.pinv(along, rcond=1e-6) @ flat
+    origin = uv[:, 0] - np.einsum("ti,tic->tc", place[:, 0], slope)
+    return slope[:, :, 0], slope[:, :, 1], np.pad(origin, ((0, 0), (0, 1)))
 
 
 _waiting: list[list[int]] = []  # session_uids of what `removing_together` will remove, by the one inside which others are

@@ -22,6 +22,7 @@ import numpy as np
 from ...core.base.errors import Notice, TargetError
 from ...core.receivers.unwrap import Unwrapped, unwrap
 from ..host.meshes import corner_vertices, first_corners
+from ..host.viewport import differences
 from . import carried, stored
 from . import links as targets
 from .faces import FacesCopy, MeshFaces, copy_faces, has_flat_faces
@@ -62,7 +63,7 @@ def layer_values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
     """(corners, 2) float32 of the layer `name`, as it is carried or stands on the mesh of `obj`; None where there is none."""
     if name and name == carried.layer_name(obj):
         held = carried.carried(obj)
-        return held[0] if held is not None else None
+        return held.uv if held is not None else None
     layer = obj.data.uv_layers.get(name)
     if layer is None:
         return None
@@ -108,6 +109,7 @@ class UvPlan:
     carried: tuple[bool, ...]
     vertices: tuple[np.ndarray, ...]  # (corners,) int32 vertex of each corner
     names: tuple[frozenset[str], ...]  # attributes that the meshes have
+    shapes: tuple[tuple[np.ndarray, np.ndarray], ...]  # `PlanCopy.shape`
 
     def spread(self, unwrapped: Unwrapped) -> list[np.ndarray]:
         """(corners, 2) float32 UV of each object. Needs no Blender."""
@@ -116,11 +118,19 @@ class UvPlan:
 
 @dataclass(frozen=True, eq=False)
 class PlanCopy:
-    """What Blender says of one object for a plan: its faces, whether its layer is to be carried, and what attributes its mesh has."""
+    """What Blender says of one object for a plan: its faces, whether its layer is to be carried, what attributes its mesh has, and whether
+    renders have other faces."""
 
     faces: FacesCopy
     carried: bool
     names: frozenset[str]
+    differs: bool = False
+
+    def shape(self) -> tuple[np.ndarray, np.ndarray]:
+        """Triangles and places for `carried.Held`, empty where renders have the same faces."""
+        if not self.differs:
+            return np.empty((0, 3), np.int32), np.empty((0, 3), np.float32)
+        return self.faces.corners, self.faces.positions[self.faces.vertices]
 
 
 def copy_for_plan(obj: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> PlanCopy:
@@ -134,7 +144,8 @@ def copy_for_plan(obj: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> Pla
         return PlanCopy(copy_faces(obj, obj.data, moved), False, frozenset(a.name for a in obj.data.attributes))
     with carried.stage([obj], view_layer):
         mesh = obj.evaluated_get(view_layer.depsgraph).data
-        copy, flat = PlanCopy(copy_faces(obj, mesh), True, frozenset(a.name for a in mesh.attributes)), has_flat_faces(mesh)
+        names, differs = frozenset(a.name for a in mesh.attributes), bool(differences(obj, view_layer.id_data))
+        copy, flat = PlanCopy(copy_faces(obj, mesh), True, names, differs), has_flat_faces(mesh)
     moved = carried.subdivided(obj, len(copy.faces.positions), view_layer) if flat else None
     return copy if moved is None else replace(copy, faces=replace(copy.faces, positions=moved))
 
@@ -142,7 +153,8 @@ def copy_for_plan(obj: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> Pla
 def plan_of(objects: Sequence[bpy.types.Object], copies: Sequence[PlanCopy]) -> UvPlan:
     """What `copies` make of `objects`, at which nothing is looked here. Raises SceneError for a mesh that has no usable face."""
     faces, vertices = tuple(c.faces.faces() for c in copies), tuple(c.faces.vertices for c in copies)
-    return UvPlan(tuple(objects), faces, tuple(c.carried for c in copies), vertices, tuple(c.names for c in copies))
+    names, shapes = tuple(c.names for c in copies), tuple(c.shape() for c in copies)
+    return UvPlan(tuple(objects), faces, tuple(c.carried for c in copies), vertices, names, shapes)
 
 
 def write_plan(plan: UvPlan, unwrapped: Unwrapped, uvs: Sequence[np.ndarray], name: str = NAME) -> Callable[[], None]:
@@ -158,7 +170,7 @@ def write_plan(plan: UvPlan, unwrapped: Unwrapped, uvs: Sequence[np.ndarray], na
             if plan.carried[k]:
                 mine = _on_mesh(obj.data)
                 taken = plan.names[k] - {mine} if _remove_from_mesh(obj, carrying) else plan.names[k]
-                carried.carry(obj, _free(obj, name, taken), uv, plan.vertices[k])
+                carried.carry(obj, _free(obj, name, taken), carried.Held(uv, plan.vertices[k], *plan.shapes[k]))
             else:
                 carried.drop(obj)
                 _write_layer(obj, name, uv)
@@ -360,7 +372,7 @@ def _snapshot(obj: bpy.types.Object) -> Callable[[], None]:
                 del own[key]
         _remove_from_mesh(obj)
         if before is not None:
-            carried.carry(obj, name, *before)
+            carried.carry(obj, name, before)
         elif uv is not None:
             _write_layer(obj, layer, uv)
         for owner, values in ((marked(obj), beside), (obj.data, on_mesh)):

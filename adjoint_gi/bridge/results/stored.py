@@ -14,6 +14,8 @@ from typing import Any
 
 import bpy
 
+from ..host.viewport import MADE_BY_US
+
 RESULTS = "adjoint_gi_results"  # of objects: a group for each result, see `links`
 MADE = "adjoint_gi_made"  # of objects that a bake has made to hold its result
 STATE = "adjoint_gi_preview"  # of objects that show a result: their slots before
@@ -30,7 +32,7 @@ ADDED = "adjoint_gi_slot"  # of meshes without slots, which got one for the prev
 ABOUT = "adjoint_gi_about"  # of images and meshes: JSON that describes the result
 OURS = "adjoint_gi_material"  # of materials of a preview
 ORIGINAL = "adjoint_gi_original"  # of materials of a preview: the one of the user that each stands for, None when that was deleted
-TREE = "adjoint_gi"  # of node groups made by us: what for
+TREE = MADE_BY_US  # of node groups made by us: what for
 
 COLLECTIONS = ("objects", "meshes", "materials", "images", "node_groups", "collections")  # of datablocks that may carry them
 
