@@ -41,7 +41,7 @@ CHANGED = "The mesh has changed since its lightmap UVs were made. Renew them and
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class CarriedUvs:
     """What the hidden object has of n corners: `uv` (n, 2) float32 and the `vertex` (n,) int32 of each; and, where renders have other
     faces, the corners of the `triangles` (nt, 3) int32 and the `places` (n, 3) float32 of all; else these two are empty."""
 
@@ -125,7 +125,7 @@ def subdivided(obj: bpy.types.Object, count: int, view_layer: bpy.types.ViewLaye
         evaluated.to_mesh_clear()
 
 
-def carry(obj: bpy.types.Object, name: str, held: Held) -> None:
+def carry(obj: bpy.types.Object, name: str, held: CarriedUvs) -> None:
     """Have `obj` carry what is `held` of the corners of its evaluated mesh at our `stage`, as a UV map called `name`.
 
     What it carried before is replaced.
@@ -149,7 +149,7 @@ def carry(obj: bpy.types.Object, name: str, held: Held) -> None:
         _remove([old])
 
 
-def carried(obj: bpy.types.Object) -> Held | None:
+def carried(obj: bpy.types.Object) -> CarriedUvs | None:
     """What was given to `carry`; None where there is nothing."""
     own = holder(obj)
     if own is None:
@@ -157,7 +157,7 @@ def carried(obj: bpy.types.Object) -> Held | None:
     points, places = positions(own.data), np.empty((0, 3), np.float32)
     if PLACE in own.data.attributes:
         places = copied(own.data.attributes[PLACE].data, "vector", 3, np.float32)
-    return Held(points[:, :2].copy(), points[:, 2].astype(np.int32), corner_vertices(own.data).reshape(-1, 3), places)
+    return CarriedUvs(points[:, :2].copy(), points[:, 2].astype(np.int32), corner_vertices(own.data).reshape(-1, 3), places)
 
 
 def drop(obj: bpy.types.Object) -> bool:
@@ -312,7 +312,7 @@ def _socket(sockets: Sequence[bpy.types.NodeSocket], name: str) -> bpy.types.Nod
     return next(s for s in sockets if s.name == name and s.enabled)
 
 
-def _fill(mesh: bpy.types.Mesh, held: Held) -> None:
+def _fill(mesh: bpy.types.Mesh, held: CarriedUvs) -> None:
     """Make `mesh` one vertex for each corner, and triangles of them. The datablock stays: an undo step may know pointers to it."""
     mesh.clear_geometry()
     mesh.vertices.add(len(held.uv))
@@ -328,7 +328,7 @@ def _fill(mesh: bpy.types.Mesh, held: Held) -> None:
     mesh.update(calc_edges=bool(len(held.places)))
 
 
-def _slopes(held: Held) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _slopes(held: CarriedUvs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of each triangle the slopes of u and v over its plane and (u, v, 0) at the object's origin, (nt, 3) float64."""
     place, uv = held.places[held.triangles].astype(np.float64), held.uv[held.triangles].astype(np.float64)
     along, flat = place[:, 1:] - place[:, :1], uv[:, 1:] - uv[:, :1]

@@ -127,7 +127,7 @@ class PlanCopy:
     differs: bool = False
 
     def shape(self) -> tuple[np.ndarray, np.ndarray]:
-        """Triangles and places for `carried.Held`, empty where renders have the same faces."""
+        """Triangles and places for `carried.CarriedUvs`, empty where renders have the same faces."""
         if not self.differs:
             return np.empty((0, 3), np.int32), np.empty((0, 3), np.float32)
         return self.faces.corners, self.faces.positions[self.faces.vertices]
@@ -170,7 +170,7 @@ def write_plan(plan: UvPlan, unwrapped: Unwrapped, uvs: Sequence[np.ndarray], na
             if plan.carried[k]:
                 mine = _on_mesh(obj.data)
                 taken = plan.names[k] - {mine} if _remove_from_mesh(obj, carrying) else plan.names[k]
-                carried.carry(obj, _free(obj, name, taken), carried.Held(uv, plan.vertices[k], *plan.shapes[k]))
+                carried.carry(obj, _free(obj, name, taken), carried.CarriedUvs(uv, plan.vertices[k], *plan.shapes[k]))
             else:
                 carried.drop(obj)
                 _write_layer(obj, name, uv)
