@@ -2532,6 +2532,20 @@ BUGS = (
         "own = image >= 0",
         "tests/core/test_denoise.py -k darken_nobody",
     ),
+    Bug(
+        "mixing factors beyond 1 are not clamped",
+        "adjoint_gi/bridge/extract/colors.py",
+        "return Color.of(min(max(value.constant[0], 0.0), 1.0))",
+        "return Color.of(value.constant[0])",
+        "tests/blender/test_extract_mixes.py -k shares_beyond",
+    ),
+    Bug(
+        "shares that textures bring beyond 0 to 1 are not clamped",
+        "adjoint_gi/bridge/extract/colors.py",
+        "        if not self._leaves(value):\n            return value\n",
+        "        if value is not None:\n            return value\n",
+        "tests/blender/test_extract_mixes.py -k shares_beyond",
+    ),
 )
 
 

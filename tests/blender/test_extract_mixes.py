@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from adjgi.adjoint_gi.core.bsdf import table as bsdf
+from adjgi.tests.blender.test_extract_colors import Graph, both, pattern, silent
 from adjgi.tests.cycles_patch import empty_material, white_plane
 
 PRINCIPLED, DIFFUSE = "ShaderNodeBsdfPrincipled", "ShaderNodeBsdfDiffuse"
@@ -105,3 +106,50 @@ def test_added_shaders_are_scaled_down_with_their_coats():
     nodes = [shader(m, PRINCIPLED, Base_Color=WHITE, Roughness=r) for r in (0.2, 0.4)]
     found, error = albedo(arrays_of(m, joined(m, *nodes)), 75)
     assert (np.abs(found - 1.0) < 5 * error + 0.01).all()
+
+
+@pytest.mark.parametrize("user", ["ShaderNodeMixShader", "ShaderNodeMix", "ShaderNodeBsdfPrincipled"])
+@pytest.mark.parametrize(("factor", "added"), [(0.0, 1.5), (0.0, -0.5), (3.0, -1.0), (-2.0, 1.3)])
+def test_shares_beyond_0_and_1_are_clamped(user, factor, added):
+    """A constant, and a texture times a number plus another, as the factor of two colours or as the alpha of one that is emitted."""
+    g = Graph()
+    image = g.image(interpolation="Closest")
+    share = g.add("ShaderNodeMath", None, {"Value": image.outputs["Color"]}, operation="MULTIPLY_ADD")
+    share.inputs[1].default_value, share.inputs[2].default_value = factor, added
+    kinds = {"ShaderNodeMixShader": {}, "ShaderNodeMix": {"data_type": "RGBA"}, "ShaderNodeBsdfPrincipled": {}}
+    made = g.add(user, **kinds[user])
+    g.link(share.outputs[0], made.inputs["Alpha"] if "Principled" in user else made.inputs[0])
+    colors = (0.9, 0.5, 0.1, 1), (0.1, 0.3, 0.8, 1)
+    if user == "ShaderNodeMix":
+        for socket, color in zip([s for s in made.inputs if s.type == "RGBA"], colors, strict=True):
+            socket.default_value = color
+        g.show(next(s for s in made.outputs if s.type == "RGBA"))
+    elif user == "ShaderNodeMixShader":
+        for socket, color in zip(list(made.inputs)[1:], colors, strict=True):
+            g.link(g.add("ShaderNodeEmission", values={"Color": color}).outputs[0], socket)
+        g.link(made.outputs[0], g.tree.nodes["Material Output"].inputs["Surface"])
+    else:
+        made.inputs["Base Color"].default_value, made.inputs["Specular IOR Level"].default_value = (0, 0, 0, 1), 0.0
+        made.inputs["Emission Color"].default_value, made.inputs["Emission Strength"].default_value = colors[0], 1.0
+        g.link(made.outputs[0], g.tree.nodes["Material Output"].inputs["Surface"])
+    assert silent(both(g, atol=6e-3))
+
+
+@pytest.mark.parametrize(("gain", "told"), [(1.0, False), (3.0, True)])
+def test_a_share_of_two_images_is_told_only_where_it_leaves_0_to_1(gain, told):
+    """Neither that nor a mix of both by a third one can be clamped; one that needs it not is as in Cycles."""
+    g = Graph()
+    first, second = (g.image(pattern(seed=seed), interpolation="Closest").outputs["Color"] for seed in (2, 3))
+    product = g.add("ShaderNodeMath", operation="MULTIPLY")
+    for source, socket in zip((first, second), product.inputs, strict=False):
+        g.link(source, socket)
+    scaled = g.add("ShaderNodeMath", None, {"Value": product.outputs[0]}, operation="MULTIPLY_ADD")
+    scaled.inputs[1].default_value, scaled.inputs[2].default_value = gain, 0.0
+    mix = g.add("ShaderNodeMix", None, {"Factor": scaled.outputs[0], "A": first, "B": second}, data_type="RGBA")
+    g.show(next(s for s in mix.outputs if s.type == "RGBA"))
+    if not told:
+        assert silent(both(g, atol=6e-3))
+        return
+    white_plane(2.0, g.material)
+    (notice,) = [n for n in extract(bpy.context.evaluated_depsgraph_get()).warnings if n.severity != "info"]
+    assert "beyond 0 to 1" in notice.reason and "not clamped" in notice.reason

@@ -21,6 +21,8 @@ from .nodes import UNREADABLE, NodesTooDeep, Place, Unknown, follow, inputs
 from .uv import NotUv, read_coordinates
 
 DEPTH = 100  # nodes between a shader and the end of a chain
+MOST_SOURCES = 8  # of a share; one of more is not looked at, and counts as within 0 to 1
+ROUNDING = 1e-4  # by which a share may leave 0 to 1
 
 
 class Colors:
@@ -53,6 +55,40 @@ class Colors:
     def value(self, place: Place) -> Color:
         """The number at an input socket, as a grey colour."""
         return self._read(place, grey=True)
+
+    def share(self, place: Place) -> Color:
+        """The number at an input socket that Cycles keeps between 0 and 1, such as a factor."""
+        value = self.value(place)
+        if value.is_constant:
+            return Color.of(min(max(value.constant[0], 0.0), 1.0))
+        if not self._leaves(value):
+            return value
+        try:
+            return mapped(value, lambda c: np.clip(c, 0.0, 1.0), self.images)
+        except NotPolynomial:
+            self.skip(place, "takes a share beyond 0 to 1 that several sources make", "it is not clamped there", "Keep it between 0 and 1")
+            return value
+
+    def _leaves(self, value: Color) -> bool:
+        """Whether a polynomial may lie outside of 0 to 1: where each source is at one of its ends. Attributes count as 0 to 1."""
+        sources = sorted({s for t in value.terms for s in t.sources}, key=repr)
+        if len(sources) > MOST_SOURCES:
+            return False
+        ends = [self._ends(s) for s in sources]
+        corner = {s: e[np.arange(1 << len(sources)) >> k & 1] for k, (s, e) in enumerate(zip(sources, ends, strict=True))}
+        total = np.zeros((1 << len(sources), 3))
+        for term in value.terms:
+            total += np.prod([np.broadcast_to(term.constant, total.shape), *(corner[s] for s in term.sources)], axis=0)
+        return bool(total.min() < -ROUNDING or total.max() > 1.0 + ROUNDING)
+
+    def _ends(self, source: Source) -> np.ndarray:
+        """(2, 3) float64 least and largest value of each channel."""
+        if source.kind != "image":
+            return np.array([[0.0] * 3, [1.0] * 3])
+        ends = self.images.ranges(source.texture)[:, [3, 3, 3] if source.alpha else [0, 1, 2]].astype(np.float64)
+        if self.images.textures[source.texture].extension == "CLIP":
+            ends[0], ends[1] = np.minimum(ends[0], 0.0), np.maximum(ends[1], 0.0)
+        return ends
 
     def number(self, place: Place, word: str) -> float:
         """A number that has to be the same everywhere; when it is not, its mean, with a notice that calls it `word`."""
@@ -240,15 +276,14 @@ class Colors:
             if node.data_type == "VECTOR" and node.factor_mode != "UNIFORM":
                 raise Unknown(f'node "{node.name}" mixes vectors by a vector')
             read = self.value if node.data_type == "FLOAT" else self.color
-            factor, a, b = self.value(sockets["Factor"]), read(sockets["A"]), read(sockets["B"])
+            place_of_factor, a, b = sockets["Factor"], read(sockets["A"]), read(sockets["B"])
             kind = node.blend_type if node.data_type == "RGBA" else "MIX"
             clamp_factor, clamp = node.clamp_factor, node.clamp_result and node.data_type == "RGBA"
         else:
             first, second, third = (Place(s, place.groups) for s in list(node.inputs)[:3])  # Blender 5 renamed them
-            factor, a, b = self.value(first), self.color(second), self.color(third)
+            place_of_factor, a, b = first, self.color(second), self.color(third)
             kind, clamp_factor, clamp = node.blend_type, True, node.use_clamp
-        if clamp_factor and factor.is_constant:
-            factor = Color.of(min(max(factor.constant[0], 0.0), 1.0))
+        factor = self.share(place_of_factor) if clamp_factor else self.value(place_of_factor)
         out = color_nodes.blend(kind, factor, a, b)
         if out is None:
             self.skip(place, f"blends by {kind.lower().replace('_', ' ')}, which is not computed", "its first colour is used")

@@ -35,10 +35,7 @@ def principled_lobes(colors: Colors, place: Place, stack: int) -> list[Lobe]:
 
     def value(name: str, default: float) -> Color:
         """A number from 0 to 1 that may be textured."""
-        if name not in sockets:
-            return Color.of(default)
-        color = colors.value(sockets[name])
-        return Color.of(min(max(color.constant[0], 0.0), 1.0)) if color.is_constant else color
+        return colors.share(sockets[name]) if name in sockets else Color.of(default)
 
     def number(name: str, default: float) -> float:
         return colors.number(sockets[name], name.lower()) if name in sockets else default

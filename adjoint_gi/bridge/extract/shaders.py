@@ -84,9 +84,7 @@ class Shaders:
 
     def _mix(self, node: bpy.types.Node, place: Place) -> list[Lobe]:
         """Mix Shader: (1 - factor) of the first and factor of the second."""
-        factor = self.colors.value(Place(node.inputs[0], place.groups))
-        if factor.is_constant:
-            factor = Color.of(min(max(factor.constant[0], 0.0), 1.0))
+        factor = self.colors.share(Place(node.inputs[0], place.groups))
         first = self.lobes(Place(node.inputs[1], place.groups), factor.complement())
         return merged(first + self.lobes(Place(node.inputs[2], place.groups), factor))
 
