@@ -2546,6 +2546,13 @@ BUGS = (
         "        if value is not None:\n            return value\n",
         "tests/blender/test_extract_mixes.py -k shares_beyond",
     ),
+    Bug(
+        "nodes leave black as it is outside of clipped images",
+        "adjoint_gi/bridge/extract/color_math.py",
+        'clipped = images.textures[source.texture].extension == "CLIP"',
+        "clipped = False",
+        "tests/blender/test_extract_tables.py -k clipped",
+    ),
 )
 
 

@@ -99,6 +99,14 @@ def mapped(color: Color, function: Callable[[np.ndarray], np.ndarray], images: I
     source = next(iter(sources))
     terms = [(term.constant, [s.alpha for s in term.sources]) for term in color.terms]
 
+    def of(value: np.ndarray) -> np.ndarray:
+        with np.errstate(all="ignore"):
+            return np.nan_to_num(function(value))
+
+    # Outside of a clipped image a lookup gives 0: what comes of that is a constant, and the pixels hold what they have beside it.
+    clipped = images.textures[source.texture].extension == "CLIP"
+    beside = rgb(of(np.array([color.constant], np.float32))[0]) if clipped else (0.0, 0.0, 0.0)
+
     def pixels(flat: np.ndarray) -> np.ndarray:
         value = np.zeros((len(flat), 3), np.float32)
         for constant, alphas in terms:
@@ -106,11 +114,12 @@ def mapped(color: Color, function: Callable[[np.ndarray], np.ndarray], images: I
             for alpha in alphas:
                 product = product * (flat[:, 3:4] if alpha else flat[:, :3])
             value += product
-        with np.errstate(all="ignore"):
-            flat[:, :3] = np.nan_to_num(function(value))
+        flat[:, :3] = of(value) - np.array(beside, np.float32)
         return flat
 
-    return Color((Term((1.0, 1.0, 1.0), (_with(source, images.derive(source.texture, pixels)),)),))
+    return Color(
+        ((Term(beside),) if any(beside) else ()) + (Term((1.0, 1.0, 1.0), (_with(source, images.derive(source.texture, pixels)),)),)
+    )
 
 
 def _luminances(weights: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
