@@ -2553,6 +2553,34 @@ BUGS = (
         "clipped = False",
         "tests/blender/test_extract_tables.py -k clipped",
     ),
+    Bug(
+        "the colour of a world without nodes is square",
+        "adjoint_gi/bridge/extract/world.py",
+        "return _safe(tuple(world.color), name, notices)",
+        "return _safe(tuple(c * c for c in world.color), name, notices)",
+        "tests/blender/test_extract_constants.py -k no_nodes",
+    ),
+    Bug(
+        "renewing UVs leaves what it has replaced",
+        "adjoint_gi/bridge/baking/textures.py",
+        "    real.settle()\n",
+        "",
+        "tests/blender/test_bake_curves.py -k renew_makes",
+    ),
+    Bug(
+        "partial results after an undo take the user's redo away",
+        "adjoint_gi/bridge/baking/jobs.py",
+        "if self.undone or driver.version",
+        "if driver.version",
+        "tests/blender/test_jobs.py -k fifty",
+    ),
+    Bug(
+        "of several --objects the last counts",
+        "adjoint_gi/bridge/cli/arguments.py",
+        'nargs="+", action="extend", default=[], metavar="NAME"',
+        'nargs="+", default=[], metavar="NAME"',
+        "tests/blender/test_cli_streams.py -k several_names",
+    ),
 )
 
 

@@ -328,8 +328,12 @@ def test_renew_makes_the_uvs_of_what_a_bake_makes_objects_of(registered, instanc
     assert bpy.ops.adjoint_gi.bake() == {"FINISHED"}
     for obj in made:
         obj.data.uv_layers[own_layer(obj)].uv.foreach_set("vector", np.zeros(2 * len(obj.data.loops), np.float32))
+    bpy.data.objects["Cable"].data.bevel_depth *= 2
+    leaf.data.vertices[0].co.z = 0.5
+    bpy.context.view_layer.update()
     assert bpy.ops.adjoint_gi.renew_uvs() == {"FINISHED"}
     assert real.objects_of(bpy.context.scene) == made
+    assert not [block for kind in (bpy.data.meshes, bpy.data.objects) for block in kind if not block.users], "what is replaced goes"
     assert all(np.ptp([tuple(x.vector) for x in o.data.uv_layers[own_layer(o)].uv]) > 0.3 for o in made)
     BAKES.forget()
 

@@ -18,6 +18,8 @@ from adjgi.adjoint_gi.bridge.baking.bake import Bake
 from adjgi.adjoint_gi.bridge.baking.report import of_bake
 from adjgi.adjoint_gi.bridge.cli import cornell
 from adjgi.adjoint_gi.bridge.cli import main as cli
+from adjgi.adjoint_gi.bridge.cli.arguments import make_parser
+from adjgi.adjoint_gi.bridge.cli.arguments import request_of as cli_request
 from adjgi.adjoint_gi.bridge.cli.bake import write_report
 from adjgi.adjoint_gi.bridge.props.request import RECEIVERS, BakeRequest
 from adjgi.adjoint_gi.bridge.results import kept
@@ -192,3 +194,13 @@ def test_scripts_in_a_named_file_are_not_run(scene, tmp_path, name):
     with contextlib.redirect_stdout(told), contextlib.redirect_stderr(told):
         cli.main([name, str(path), *([] if name == "check" else ["--output", str(path)])], in_blender=False)
     assert bpy.data.filepath == str(path) and ran() == (False, False), told.getvalue()
+
+
+@pytest.mark.parametrize("name", ["bake", "check", "compare"])
+def test_an_option_of_several_names_goes_on_where_it_is_given_again(name):
+    words = [name, "a.blend", "--objects", "Floor", "Wall", "--set", "x=1", "--objects", "Wall", "Roof", "--set", "y=2"]
+    for _ in range(2):  # nor do defaults grow by what was asked before
+        options = make_parser(in_blender=False).parse_args([*words, *(["--output", "out"] if name == "compare" else [])])
+        assert options.objects == ["Floor", "Wall", "Wall", "Roof"] and options.set == ["x=1", "y=2"]
+    if name == "bake":
+        assert cli_request(make_parser(in_blender=False).parse_args(words[:5] + words[7:10])).objects == ("Floor", "Wall", "Roof")

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
+import pytest
+from adjgi.adjoint_gi.bridge.extract import materials, world
 from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from adjgi.tests.blender.test_extract_colors import Graph, silent
-from adjgi.tests.cycles_patch import render_patch
+from adjgi.tests.cycles_patch import render_patch, white_plane
 
 # Math of constants, where its definition can be got wrong: operation and inputs. Results are above -6.
 MATH = [
@@ -100,3 +102,20 @@ def test_constants_of_every_node_equal_cycles():
     theirs = render_patch(width=2.0, pixels=n, samples=1)[n // 2]
     np.testing.assert_allclose(ours, theirs, atol=6e-3)
     assert silent(arrays)
+
+
+@pytest.mark.parametrize("owner", ["material", "world"])
+def test_what_has_no_nodes_has_the_colour_that_is_typed(monkeypatch, owner):
+    """Blender 5 gives nodes to all of them; there it is asked as if these were off."""
+    color = (0.2, 0.4, 0.8)
+    for module in (materials, world):
+        monkeypatch.setattr(module, "uses_nodes", lambda owner: False)
+    if owner == "world":
+        made = bpy.data.worlds.new("typed")
+        made.color, bpy.context.scene.world = color, made
+        assert extract(bpy.context.evaluated_depsgraph_get()).background == pytest.approx(color)
+        return
+    made = bpy.data.materials.new("typed")
+    made.diffuse_color = (*color, 0.5)
+    white_plane(2.0, made)
+    assert extract(bpy.context.evaluated_depsgraph_get()).materials[0].total("diffuse").constant == pytest.approx(color)
