@@ -152,7 +152,7 @@ def asks_for_the_viewport(obj):
     return modifier
 
 
-@pytest.mark.parametrize("differs", ["levels", "in renders", "in the viewport", "nodes"])
+@pytest.mark.parametrize("differs", ["levels", "in renders", "in the viewport", "nodes", "thickness"])
 def test_a_render_with_other_faces_has_the_texels_of_the_places_it_shows(differs):
     """The nearest ones of the mesh that the viewport shows, never across the border of a chart; an edit in the viewport is still told."""
     obj = box("Box", "SUBSURF", "SOLIDIFY")
@@ -161,6 +161,8 @@ def test_a_render_with_other_faces_has_the_texels_of_the_places_it_shows(differs
     if differs == "nodes":
         asks_for_the_viewport(obj)
         obj.modifiers.move(2, 1)
+    elif differs == "thickness":
+        thick.show_viewport, finer.levels, finer.render_levels = False, 0, 0
     elif differs != "levels":
         more = obj.modifiers.new("More", "SUBSURF")
         more.subdivision_type, more.show_viewport, more.show_render = "SIMPLE", differs == "in the viewport", differs == "in renders"

@@ -448,3 +448,21 @@ def test_light_of_a_ceiling_takes_the_colour_of_a_sheet(name):
         b.light(Light("Lamp", "point", (3.0, 3.0, 3.0), position=(0, 0, 1.25)))
         found.append(direct(b.build(), name, **GATHERING[name], max_length=2).indirect.mean(axis=0))
     assert found[0].min() > 0 and found[1] == pytest.approx(found[0] * TINT, rel=0.05)
+
+
+@pytest.mark.parametrize("name", [*GATHERING, *(set(ELEMENTS) - {"directional_radiosity", "spherical_harmonics"})])
+@pytest.mark.parametrize("far", [0.0, 500.0])
+def test_a_panel_behind_tilted_sheets_does_not_hide_itself(name, far):
+    """Rays go on behind each sheet where they met it, not beside: at last they end before the panel that they are cast to."""
+
+    def lit(layers):
+        b = SceneBuilder()
+        a, c = np.array([0.8, 0.1, -0.6]), np.array([0.2, 0.9, 0.4])
+        at, up = np.array([far, 0.7 * far, 0]), np.cross(a, c)
+        b.quad("Floor", at - a - c, 2 * a, 2 * c, diffuse("Floor", 0.0))
+        for i in range(layers):
+            b.quad(f"Sheet {i}", at - 3 * (a + c) + (1 + 0.03 * i) * up, 6 * a, 6 * c, sheet(0.9))
+        b.quad("Panel", at - 0.15 * (a + c) + 2 * up, 0.3 * c, 0.3 * a, diffuse("Panel", 0.0, 9.0))
+        return direct(b.build(), name, **(GATHERING | ELEMENTS)[name]).direct.mean()
+
+    assert lit(4) / lit(0) == pytest.approx(0.9**4, rel=0.01)

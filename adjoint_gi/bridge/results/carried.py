@@ -33,6 +33,7 @@ KIND = "carry"  # value of our custom property of node groups that says which gr
 GROUP = "Adjoint GI Lightmap UV"
 PLACE = "adjoint_gi_place"  # attribute of hidden objects: places of the corners on the mesh
 SLOPES, ORIGIN = ("adjoint_gi_u", "adjoint_gi_v"), "adjoint_gi_uv_origin"  # of its triangles: u is slope . place + origin
+AHEAD = 4.0  # times the distance to the nearest triangle: how far before a face another one is looked for
 NO_PLACE = (-1.0, -1.0, 0.0)  # the UV of a mesh that the layer was not made for; no texel lies there
 SUBDIVIDES = {"SUBSURF", "MULTIRES"}
 # Modifiers behind which UVs of the mesh before them are still without overlap: those of others would lie on the same texels.
@@ -212,12 +213,12 @@ def node_group() -> bpy.types.NodeTree:
     differs = _node(tree, "FunctionNodeCompare", data_type="FLOAT", operation="NOT_EQUAL", A=vertex, B=expected)
     _socket(differs.inputs, "Epsilon").default_value = 0.5
     most = _node(tree, "GeometryNodeAttributeStatistic", domain="CORNER", Geometry=mesh, Attribute=differs.outputs["Result"])
-    changed = _either(tree, others.outputs["Result"], _socket(most.outputs, "Max"))
+    changed = _logic(tree, "OR", others.outputs["Result"], _socket(most.outputs, "Max"))
 
     # Step 3: a mesh that is another one in renders has that of the nearest point on the one that the viewport shows.
     nearest, found = _nearest(tree, held)
     here = _node(tree, "GeometryNodeIsViewport").outputs["Is Viewport"]
-    instead = _node(tree, "GeometryNodeSwitch", input_type="VECTOR", Switch=_either(tree, here, found), False_=nearest)
+    instead = _node(tree, "GeometryNodeSwitch", input_type="VECTOR", Switch=_logic(tree, "OR", here, found), False_=nearest)
     _socket(instead.inputs, "True").default_value = NO_PLACE
 
     # Step 4: the UV map.
@@ -234,27 +235,37 @@ def node_group() -> bpy.types.NodeTree:
 def _nearest(tree: bpy.types.NodeTree, held: bpy.types.NodeSocket) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
     """UVs by the triangle that is nearest to each face, of those `held` in their places, and whether there are none.
 
-    A face takes all its corners from one triangle, whose UV goes on evenly beyond it: charts lie far apart. It is looked for from a face's
-    width before its middle: the other side of a thin wall must not be nearer.
+    A face takes all its corners from one triangle, whose UV goes on evenly beyond it: charts lie far apart. Where the nearest one faces the
+    other way, as the far side of a thin wall does, one that faces the same way is looked for from a little before the face.
     """
     faces = _node(tree, "GeometryNodeAttributeDomainSize", Geometry=held).outputs["Face Count"]
     none = _node(tree, "FunctionNodeCompare", data_type="INT", operation="EQUAL", A=faces).outputs["Result"]
     triangles = _node(tree, "GeometryNodeSetPosition", Geometry=held, Position=_named(tree, PLACE)).outputs["Geometry"]
-
     position = _node(tree, "GeometryNodeInputPosition").outputs["Position"]
-    area = _node(tree, "GeometryNodeInputMeshFaceArea").outputs["Area"]
-    width = _node(tree, "ShaderNodeMath", operation="SQRT", Value=area).outputs["Value"]
-    normal = _node(tree, "GeometryNodeInputNormal").outputs["Normal"]
-    before = _node(tree, "ShaderNodeVectorMath", operation="SCALE", Vector=normal, Scale=width).outputs["Vector"]
-    start = _vector(tree, "ADD", _of_face(tree, position), _of_face(tree, before)).outputs["Vector"]
+    middle, normal = (_of_face(tree, x) for x in (position, _node(tree, "GeometryNodeInputNormal").outputs["Normal"]))
 
-    def of_triangle(name: str) -> bpy.types.NodeSocket:
-        values = {"Mesh": triangles, "Value": _named(tree, name), "Sample_Position": start}
-        return _of_face(tree, _socket(_node(tree, "GeometryNodeSampleNearestSurface", data_type="FLOAT_VECTOR", **values).outputs, "Value"))
+    def at(start: bpy.types.NodeSocket, value: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+        """`value` of the triangles at the point on them that is nearest to `start`."""
+        inputs = {"Mesh": triangles, "Value": value, "Sample_Position": start}
+        return _of_face(tree, _socket(_node(tree, "GeometryNodeSampleNearestSurface", data_type="FLOAT_VECTOR", **inputs).outputs, "Value"))
 
-    along = [_vector(tree, "DOT_PRODUCT", of_triangle(name), position).outputs["Value"] for name in SLOPES]
+    def facing(start: bpy.types.NodeSocket, operation: str) -> bpy.types.NodeSocket:
+        """Whether the triangle nearest to `start` has a normal whose product with that of the face is less or greater than 0."""
+        product = _vector(tree, "DOT_PRODUCT", at(start, normal), normal).outputs["Value"]
+        return _node(tree, "FunctionNodeCompare", data_type="FLOAT", operation=operation, A=product).outputs["Result"]
+
+    distance = _vector(tree, "DISTANCE", at(middle, position), middle).outputs["Value"]
+    ahead = _node(tree, "ShaderNodeMath", operation="MULTIPLY", Value=distance)
+    ahead.inputs[1].default_value = AHEAD
+    step = _node(tree, "ShaderNodeVectorMath", operation="SCALE", Vector=normal, Scale=ahead.outputs["Value"]).outputs["Vector"]
+    before = _vector(tree, "ADD", middle, step).outputs["Vector"]
+    better = _logic(tree, "AND", facing(middle, "LESS_THAN"), facing(before, "GREATER_THAN"))
+    choice = _node(tree, "GeometryNodeSwitch", input_type="VECTOR", Switch=better, False_=middle, True_=before)
+    start = _socket(choice.outputs, "Output")
+
+    along = [_vector(tree, "DOT_PRODUCT", at(start, _named(tree, name)), position).outputs["Value"] for name in SLOPES]
     uv = _node(tree, "ShaderNodeCombineXYZ", X=along[0], Y=along[1]).outputs["Vector"]
-    return _vector(tree, "ADD", uv, of_triangle(ORIGIN)).outputs["Vector"], none
+    return _vector(tree, "ADD", uv, at(start, _named(tree, ORIGIN))).outputs["Vector"], none
 
 
 def _named(tree: bpy.types.NodeTree, name: str) -> bpy.types.NodeSocket:
@@ -277,9 +288,9 @@ def _of_face(tree: bpy.types.NodeTree, value: bpy.types.NodeSocket) -> bpy.types
     return _socket(_node(tree, "GeometryNodeFieldOnDomain", data_type="FLOAT_VECTOR", domain="FACE", Value=value).outputs, "Value")
 
 
-def _either(tree: bpy.types.NodeTree, a: bpy.types.NodeSocket, b: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
-    """Whether one of them is true."""
-    node = _node(tree, "FunctionNodeBooleanMath", operation="OR")
+def _logic(tree: bpy.types.NodeTree, operation: str, a: bpy.types.NodeSocket, b: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+    """What AND or OR makes of two truths."""
+    node = _node(tree, "FunctionNodeBooleanMath", operation=operation)
     for socket, value in zip(node.inputs, (a, b), strict=False):
         tree.links.new(value, socket)
     return node.outputs[0]

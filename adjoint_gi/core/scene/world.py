@@ -23,6 +23,7 @@ from .terminator import Edge, Terminator
 # Shadow rays end this share of their length, and the clearance of the triangle, before the triangle that they are cast to: Embree rounds
 # corners relative to the ray's origin.
 SHORT = np.float32(4 * STEP)
+GRAZING = np.float32(1e-3)  # cosine below which rays go on behind a surface no farther from where they met it than at this one
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +180,11 @@ class World:
     def _behind(self, origin: np.ndarray, direction: np.ndarray, hit: tuple, rows: np.ndarray, query: Callable) -> None:
         triangle, u, v, t = hit
         d = np.ascontiguousarray(direction[rows])
-        start = self.leave(self.surface(triangle[rows], u[rows], v[rows], -d), np.ones(len(rows), bool))
+        # On along the ray until as far off the triangle as other rays start. Lifted straight off it they would run beside the ray, a little
+        # more behind each surface, and meet what a light point lies on before `short_of` ends them.
+        s = self.surface(triangle[rows], u[rows], v[rows])
+        off = self.offset[triangle[rows]] / np.maximum(np.abs(np.einsum("ij,ij->i", s.ng, d)), GRAZING * np.linalg.norm(d, axis=1))
+        start = s.position + d * off[:, None]
         triangle[rows], u[rows], v[rows], t[rows] = query(start, d)
         t[rows] += np.einsum("ij,ij->i", start - origin[rows], d) / np.einsum("ij,ij->i", d, d)
 
