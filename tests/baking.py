@@ -282,7 +282,7 @@ def fingerprint() -> dict[str, object]:
     out: dict[str, object] = {}
     made = [o for o in bpy.data.objects if MADE in o]
     for mesh in {*bpy.data.meshes} - {o.data for o in made}:
-        out[f"mesh {mesh.name}"] = _mesh(mesh)
+        out[f"mesh {mesh.name}"] = mesh_state(mesh)
     for obj in {*bpy.data.objects} - {*made}:
         slots = [(s.link, s.material.name if s.material else None) for s in obj.material_slots]
         custom = _custom(obj, RESULTS)
@@ -302,7 +302,8 @@ def fingerprint() -> dict[str, object]:
     return out
 
 
-def _mesh(mesh: bpy.types.Mesh) -> tuple[object, ...]:
+def mesh_state(mesh: bpy.types.Mesh) -> tuple[object, ...]:
+    """All of `mesh` but our UV layer and what we note of it."""
     ours = mesh.get(STORED)
     layers = [(x.name, x.active_render, _digest(x.uv, "vector", 2)) for x in mesh.uv_layers if x.name != ours]
     colors = [(x.name, x.domain, x.data_type, _digest(x.data, "color", 4)) for x in mesh.color_attributes]

@@ -2442,6 +2442,20 @@ BUGS = (
         "tests/blender/test_results.py -k new_uvs_take",
     ),
     Bug(
+        "new UVs of a mesh go into its copies too",
+        "adjoint_gi/bridge/results/lightmap_uv.py",
+        'mesh.attributes[made].data.foreach_set("vector", uv.ravel())',
+        'layer.uv.foreach_set("vector", uv.ravel())',
+        "tests/blender/test_uv_edits.py -k duplicate_and_its",
+    ),
+    Bug(
+        "nobody says that a duplicate's UVs are made anew",
+        "adjoint_gi/bridge/baking/sides.py",
+        '(TWICE if obj in twice else "")',
+        '""',
+        "tests/blender/test_uv_edits.py -k duplicate_and_its",
+    ),
+    Bug(
         "colours of mirrored objects stay at their corners",
         "adjoint_gi/bridge/extract/mesh.py",
         "colors={name: np.ascontiguousarray(a[:, swap]) for name, a in self.colors.items()}",

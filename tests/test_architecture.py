@@ -209,6 +209,14 @@ def overrides(source: str, path: str) -> list[str]:
     return [f"uses it in line {node.lineno}" for node in nodes if node.attr == "temp_override"]
 
 
+def shared_writes(source: str, path: str) -> list[str]:
+    """UVs written by `uv_layers[...].uv`, which before Blender 5.2 reaches the copies of a mesh; its attribute of that name is safe."""
+    nodes = [node for node in ast.walk(parsed(source)) if isinstance(node, ast.Attribute)]
+    calls = [n for n in nodes if n.attr == "foreach_set" and isinstance(n.value, ast.Attribute) and n.value.attr == "uv"]
+    single = [n for n in nodes if n.attr == "vector" and isinstance(n.ctx, ast.Store) and ".uv[" in ast.unparse(n)]
+    return [f"writes {ast.unparse(node)} in line {node.lineno}" for node in (*calls, *single)]
+
+
 def identifiers(source: str, path: str) -> list[str]:
     """Names that cannot be typed or searched for on every keyboard."""
     if source.isascii():
@@ -279,6 +287,7 @@ CHECKS = [
     (offsets, BELOW),
     (version_checks, PRODUCT),
     (overrides, PRODUCT),
+    (shared_writes, PRODUCT),
     (identifiers, PYTHON),
     (length, PYTHON),
     (left_open, PYTHON),
@@ -322,6 +331,8 @@ BREACHES = [
     (offsets, "adjoint_gi/core/walks/x.py", "origin = position + self.world.offset * normal"),
     (version_checks, "operators/x.py", "new = bpy.app.version >= (5, 0, 0)"),
     (overrides, "operators/x.py", "with context.temp_override(window=window):\n    pass"),
+    (shared_writes, "adjoint_gi/bridge/x.py", "layer.uv.foreach_set('vector', values)"),
+    (shared_writes, "adjoint_gi/bridge/x.py", "mesh.uv_layers[0].uv[3].vector = (0, 0)"),
     (identifiers, "solvers/x.py", "\u03c1 = 0.5"),
     (length, "solvers/x.py", '"""Doc."""\n' * (LINES + 1)),
     (left_open, "solvers/x.py", "# TO" + "DO later"),

@@ -245,7 +245,8 @@ def _first_step(driver: Driver) -> None:
 
 def _checked(real: Real, request: BakeRequest) -> list[Notice]:
     """What is said of the objects that were made; raises `TargetError` for one that cannot receive."""
-    found = [n for obj in real.objects.values() for n in checker(request)(obj, request)]
+    check = checker(request, list(real.objects.values()))
+    found = [n for obj in real.objects.values() for n in check(obj)]
     raise_all([n for n in found if n.severity == "error"], TargetError)
     return found
 

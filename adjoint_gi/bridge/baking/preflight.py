@@ -6,7 +6,7 @@ Two parts: what can be read off Blender's data at once, and what needs the extra
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import bpy
@@ -39,7 +39,7 @@ from ..results.attribute import NotOnMesh, check_attribute_target, name_taken
 from ..results.lightmap_uv import NAME, check_target, own_layer
 from ..results.show import unhidden
 from . import outputs
-from .sides import planned, unfit
+from .sides import planned, unfits
 from .watch import unchanged
 
 QUICK = 300_000  # triangles above which the panel's check does not extract the scene
@@ -121,9 +121,9 @@ def resolve(context: bpy.types.Context, request: BakeRequest) -> tuple[BakeReque
 
 def _resolve_objects(context: bpy.types.Context, request: BakeRequest) -> tuple[BakeRequest, list[Notice]]:
     """The same, of the objects alone."""
-    check = checker(request)
     objects = [o for o in _meant(context, request) if o.name not in request.left_out]
-    found = {o: check(o, request) for o in objects}
+    check = checker(request, objects)
+    found = {o: check(o) for o in objects}
     bad = [o for o in objects if any(n.severity == "error" for n in found[o])]
     notices = [n for o in objects for n in found[o]]
     request = replace(request, separate=tuple(o.name for o in objects if any(SEPARATE in n.reason for n in found[o])))
@@ -133,9 +133,12 @@ def _resolve_objects(context: bpy.types.Context, request: BakeRequest) -> tuple[
     return replace(request, left_out=(*request.left_out, *(o.name for o in bad))), notices
 
 
-def checker(request: BakeRequest) -> Callable[[bpy.types.Object, BakeRequest], list[Notice]]:
-    """What looks at one object for the target of `request`."""
-    return _texture_target if request.target == "texture" else _attribute_target
+def checker(request: BakeRequest, objects: Sequence[bpy.types.Object]) -> Callable[[bpy.types.Object], list[Notice]]:
+    """What looks at one of `objects`, which are baked together, for the target of `request`."""
+    if request.target != "texture":
+        return lambda obj: _attribute_target(obj, request)
+    why = {} if request.uv_layer else unfits(objects, request, bpy.context.evaluated_depsgraph_get())
+    return lambda obj: _texture_target(obj, request, why.get(obj, ""))
 
 
 def left_out(error: Notice) -> Notice:
@@ -419,8 +422,8 @@ def _shown_results(arrays: SceneArrays) -> list[Notice]:
     return [Notice(o.name, reason.format(of[o.uid].name), "Hide it in renders, or duplicate it and bake the copy") for o in shown]
 
 
-def _texture_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]:
-    """Whether the UV layer is there or can be made."""
+def _texture_target(obj: bpy.types.Object, request: BakeRequest, why: str) -> list[Notice]:
+    """Whether the UV layer is there or can be made; `why` ours does not fit, where it is there."""
     mesh = obj.data
     try:
         targets.check_object(obj)
@@ -432,10 +435,8 @@ def _texture_target(obj: bpy.types.Object, request: BakeRequest) -> list[Notice]
             reason = f'has no UV layer "{request.uv_layer}" (layers: {have})'
             return [Notice(obj.name, reason, "Choose one of its layers, or leave it empty to have one made", "error")]
         return []
-    if own_layer(obj):
-        why = unfit(obj, request, bpy.context.evaluated_depsgraph_get())
-        if not why:
-            return []
+    if own_layer(obj) and not why:
+        return []
     try:
         check_target(obj)
     except TargetError as error:

@@ -16,12 +16,13 @@ from ..host.notices import listed
 from ..props.request import BakeRequest
 from ..results import stored
 from ..results.faces import MeshFaces
-from ..results.lightmap_uv import marked, outdated, own_layer, paddings
+from ..results.lightmap_uv import duplicated, marked, outdated, own_layer, paddings
 from ..results.real import standing_for
 
 DENSITY = "adjoint_gi_density"  # property of objects: multiplies their texels a metre
 FULL = 0.6  # share of the image that charts are first thought to fill
 SMALLEST = 16  # texels a side
+TWICE = "has the same lightmap UVs as its duplicate"
 CLOSE = 1.03  # how near the texels a metre that are asked for must be met
 
 
@@ -94,7 +95,13 @@ def note(objects: Sequence[bpy.types.Object], request: BakeRequest, side: int) -
             del beside[stored.ASKED]
 
 
-def unfit(obj: bpy.types.Object, request: BakeRequest, depsgraph: bpy.types.Depsgraph) -> str:
+def unfits(objects: Sequence[bpy.types.Object], request: BakeRequest, depsgraph: bpy.types.Depsgraph) -> dict[bpy.types.Object, str]:
+    """Of each of `objects`, which are baked together: why the layer made by us does not fit, as words after its name, or nothing."""
+    twice = duplicated(objects) if request.atlas else set()
+    return {obj: _unfit(obj, request, depsgraph) or (TWICE if obj in twice else "") for obj in objects}
+
+
+def _unfit(obj: bpy.types.Object, request: BakeRequest, depsgraph: bpy.types.Depsgraph) -> str:
     """Why the layer made by us for `obj` does not fit the object or `request`, as words after its name; empty where it does or is none."""
     why = outdated(obj, depsgraph)
     if why or not own_layer(obj) or (stored.read(marked(obj), stored.ASKED) or "/").split("/")[0] == asked(obj, request):

@@ -53,7 +53,7 @@ from ..results.show import unhidden
 from . import outputs
 from .instances import make
 from .preflight import receiving, resolutions, resolve
-from .sides import multiplier, note, side_of, unfit, unwrapping_to_density
+from .sides import multiplier, note, side_of, unfits, unwrapping_to_density
 from .writer import Prepared, Writer, find_objects
 
 COMPONENTS = ("emitted", "direct", "indirect", "albedo")  # layers of the file with all parts
@@ -345,9 +345,9 @@ def _to_unwrap(
     objects: list[bpy.types.Object], request: BakeRequest, depsgraph: bpy.types.Depsgraph
 ) -> tuple[list[list[bpy.types.Object]], list[Notice]]:
     """Objects that need new layers, in groups that share a square, and notices on those whose present layers do not fit any more."""
-    why = [(obj, unfit(obj, request, depsgraph)) for obj in objects]
-    told = [Notice(obj.name, f"{reason}; they are made anew", "", "info") for obj, reason in why if reason]
-    lacking = [obj for obj, reason in why if reason or request.renew_uvs or not own_layer(obj)]
+    why = unfits(objects, request, depsgraph)
+    told = [Notice(obj.name, f"{reason}; they are made anew", "", "info") for obj, reason in why.items() if reason]
+    lacking = [obj for obj, reason in why.items() if reason or request.renew_uvs or not own_layer(obj)]
     if not request.atlas:
         return [[obj] for obj in lacking], told
     if not objects:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any
@@ -226,6 +227,13 @@ def in_one_square(objects: Sequence[bpy.types.Object]) -> bool:
     )
 
 
+def duplicated(objects: Sequence[bpy.types.Object]) -> set[bpy.types.Object]:
+    """Those of `objects` whose layers made by us are in the same place of a square as that of another: one is a copy of the other."""
+    places = [(obj, stored.read(marked(obj), SHARED)) for obj in objects if own_layer(obj)]
+    counts = Counter(place for _, place in places if place is not None)
+    return {obj for obj, place in places if counts[place] > 1}
+
+
 def shares_square(obj: bpy.types.Object) -> bool:
     """Whether the layer made by us on `obj` was packed with those of other objects, so that it fills only a part of the image."""
     return stored.read(marked(obj), SHARED) is not None
@@ -294,7 +302,8 @@ def _write_layer(obj: bpy.types.Object, name: str, uv: np.ndarray) -> None:
     if layer is None:
         raise TargetError(obj.name, f'UV layer "{name}" could not be added', "Remove another UV layer")
     made = layer.name
-    layer.uv.foreach_set("vector", uv.ravel())
+    # By `layer.uv`, Blender 4.2 to 5.0 write into the memory that this mesh shares with its copies (measured), and change these, too.
+    mesh.attributes[made].data.foreach_set("vector", uv.ravel())
     mesh[STORED], mesh[FACES] = made, _print(mesh)
     if render >= 0:
         mesh.uv_layers.active_index = active
