@@ -113,12 +113,32 @@ def test_images_of_a_resolution_below_the_smallest_keep_it():
     assert np.all(own_resolutions(np.ones(40), 8) == 8)
 
 
-def test_particles_leave_each_object_by_the_root_of_its_area():
+def test_particles_leave_each_object_by_the_root_of_its_area_and_none_by_more_than_half():
     b = SceneBuilder()
     b.quad("Small", (0, 0, 0), (1, 0, 0), (0, 1, 0), WHITE)
     b.quad("Large", (10, 0, 0), (4, 0, 0), (0, 4, 0), WHITE)
-    world = World(b.build())
-    start = _from_inside(world, 20_000, np.random.default_rng(1))
-    small = (start.origin[:, 0] + world.center[0] < 5).mean()
-    assert small == pytest.approx(1 / 5, abs=0.012)  # four standard errors
-    assert start.weight.sum(axis=0, dtype=float) == pytest.approx(1)
+    b.quad("Third", (20, 0, 0), (3, 0, 0), (0, 3, 0), WHITE)
+    for share in (1 / 8, 0.5 / 8):
+        world = World(b.build())
+        start = _from_inside(world, 20_000, np.random.default_rng(1))
+        small = (start.origin[:, 0] + world.center[0] < 5) & (start.origin[:, 1] + world.center[1] < 2)
+        assert small.mean() == pytest.approx(share, abs=0.01)  # four standard errors
+        assert start.weight.sum(axis=0, dtype=float) == pytest.approx(1)
+        b.quad("Ground", (0, 9, -5), (40, 0, 0), (0, 40, 0), WHITE)
+
+
+@pytest.mark.parametrize("camera", [None, OUTSIDE], ids=["no camera", "camera"])
+@pytest.mark.parametrize("ground", [30.0, 100.0, 1000.0])
+def test_props_in_the_open_are_not_starved_by_the_ground_that_all_see(ground, camera):
+    """Of an image of 512 x 512 they get tens of texels a metre, however large it is, and equal ones about as many as one another."""
+    b = SceneBuilder()
+    b.quad("Ground", (-ground / 2, -ground / 2, 0), (ground, 0, 0), (0, ground, 0), WHITE)
+    for i in range(20):
+        x, y = i % 5 - 2, i // 5 - 2
+        for name, at, u, v in (("Top", (x, y, 0.3), (0.3, 0, 0), (0, 0.3, 0)), ("Side", (x, y, 0), (0.3, 0, 0), (0, 0, 0.3))):
+            b.quad(f"{name} {i}", at, u, v, WHITE)
+    b.camera = camera
+    _, found = share_of_texels(World(b.build()))
+    per_metre = found.weight * 512 / np.sqrt((found.area * found.weight**2).sum())
+    sides = per_metre[2::2]
+    assert np.median(sides) > 50 and sides.min() > 0.3 * sides.max(), sides

@@ -24,9 +24,11 @@ PARTICLES = 16384  # of each kind
 LENGTH = 3  # segments a particle is followed
 LEAST = 1 / 32  # of the density of what is seen best: nothing goes empty,
 SPARE = 0.1  # unless what is seen so little would get more than this beside the texels of the others
+STEPS = 64  # in which the highest density is raised
 FULL_IMAGES = 16  # objects that each get an image of the full resolution, or as many texels for more of them
 SMALLEST = 16  # texels a side of an image of its own
-TYPICAL = 0.75  # share of the importance that arrives where the potential is no higher than what gets the full density
+TYPICAL = 0.75  # share of the importance that arrives where the potential is no higher than what gets the full density,
+MOST = 0.5  # unless one object would get more than this of the image: then what is seen better gets more, as far as it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +55,7 @@ def seen(world: World, particles: int = PARTICLES) -> SeenObjects:
 
 
 def weights(importance: np.ndarray, area: np.ndarray) -> np.ndarray:
-    """(n,) float64 densities by `importance` and `area` (n,): as the root of the potential, up to the typical one, and not below LEAST.
+    """(n,) float64 densities by `importance` and `area` (n,): as the root of the potential, up to a typical one, and not below LEAST.
 
     A landscape behind a window has 10,000 times the area of the room, and LEAST of its density would be most of the image.
     """
@@ -62,9 +64,23 @@ def weights(importance: np.ndarray, area: np.ndarray) -> np.ndarray:
     potential = importance / np.maximum(area, 1e-300)
     order = np.argsort(potential, kind="stable")
     typical = potential[order][np.searchsorted(np.cumsum(importance[order]), TYPICAL * importance.sum())]
-    weight = np.minimum(np.sqrt(potential / typical), 1.0)
+    weight = _up_to_most(np.sqrt(potential / typical), area)
     least = np.sqrt(SPARE * float((area * weight**2).sum()) / max(float(area.sum()), 1e-300))
     return np.maximum(weight, min(LEAST, least))
+
+
+def _up_to_most(density: np.ndarray, area: np.ndarray) -> np.ndarray:
+    """(n,) float64 of `density` (n,), what is at most 1, or more where one object would get more than MOST else; the highest is 1.
+
+    The ground of a landscape gets nearly all that is seen, and has nearly all of the area. A little less of it is much for all props.
+    """
+    weight = np.minimum(density, 1.0)
+    for most in np.geomspace(1, max(float(density.max()), 1.0), STEPS):
+        weight = np.minimum(density, most)
+        texels = area * weight**2
+        if texels.max() <= MOST * texels.sum():
+            break
+    return weight / weight.max()
 
 
 def _arriving(world: World, start: Particles, rng: np.random.Generator) -> np.ndarray:
@@ -89,13 +105,16 @@ def through_picture(world: World, count: int, rng: np.random.Generator) -> Parti
 
 
 def _from_inside(world: World, count: int, rng: np.random.Generator) -> Particles | None:
-    """`count` particles from the fronts of the objects, of each as the root of its area; None where nothing has an area."""
+    """`count` particles from the fronts of the objects, of each as the root of its area, of none more than of all others together; None
+    where nothing has an area."""
     triangle = np.flatnonzero(world.area > 0)
     if not len(triangle):
         return None
     owner = world.scene.object[triangle]
     whole = np.bincount(owner, world.area[triangle])
-    share = np.cumsum(world.area[triangle] / np.sqrt(whole[owner]))
+    root = np.sqrt(whole)
+    root = np.minimum(root, max(root.sum() - root.max(), 1e-3 * root.max()))
+    share = np.cumsum(world.area[triangle] * (root / np.maximum(whole, 1e-300))[owner])
     which = triangle[np.minimum(np.searchsorted(share, rng.random(count) * share[-1], side="right"), len(triangle) - 1)]
     root, v = np.sqrt(rng.random(count)), rng.random(count)
     surface = world.surface(which, (1 - root).astype(np.float32), (root * v).astype(np.float32))
