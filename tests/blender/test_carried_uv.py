@@ -127,11 +127,12 @@ class Places(bpy.types.RenderEngine):
 
 
 def middles(mesh):
-    """Of each face its middle, the middle of its UVs, and how far these reach."""
+    """Of each face its middle and normal, the middle of its UVs, and how far these reach."""
     uv = uvs(mesh)
     own = [uv[list(p.loop_indices)] for p in mesh.polygons]
     reach = [np.ptp(x, axis=0).max() for x in own]
-    return np.array([p.center for p in mesh.polygons]), np.array([x.mean(axis=0) for x in own]), np.array(reach)
+    middle, normal = (np.array([getattr(p, name) for p in mesh.polygons]) for name in ("center", "normal"))
+    return middle, normal, np.array([x.mean(axis=0) for x in own]), np.array(reach)
 
 
 def asks_for_the_viewport(obj):
@@ -168,7 +169,7 @@ def test_a_render_with_other_faces_has_the_texels_of_the_places_it_shows(differs
         more.subdivision_type, more.show_viewport, more.show_render = "SIMPLE", differs == "in the viewport", differs == "in renders"
         obj.modifiers.move(2, 1)
     make_lightmap_uv(obj)
-    (center, place, reach), scene = middles(evaluated(obj)), bpy.context.scene
+    (center, normal, place, reach), scene = middles(evaluated(obj)), bpy.context.scene
     assert fits(obj) == "" and len(carried.carried(obj).triangles) == 2 * len(center)
     scene.camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     bpy.utils.register_class(Places)
@@ -177,11 +178,13 @@ def test_a_render_with_other_faces_has_the_texels_of_the_places_it_shows(differs
         bpy.ops.render.render()
     finally:
         bpy.utils.unregister_class(Places)
-    centers, places, reaches = Places.found
+    centers, normals, places, reaches = Places.found
     assert len(centers) != len(center)
     nearest = np.linalg.norm(places[:, None] - place, axis=2).argmin(axis=1)
     assert np.linalg.norm(centers - center[nearest], axis=1).max() < 0.15  # faces are 0.1 to 0.2 wide
     assert reaches.max() < 2.1 * reach.max()
+    if differs != "thickness":  # the wall has one side in the viewport then
+        assert (np.einsum("ij,ij->i", normals, normal[nearest]) > 0).all()
     finer.levels = 1
     assert "other faces" in fits(obj)
     assert remove_lightmap_uv(obj) and counts()[:2] == (2, 1)
