@@ -10,6 +10,7 @@ from ..adjoint_gi.bridge.host import background
 from ..adjoint_gi.bridge.props.properties import request_of
 from ..adjoint_gi.bridge.props.records import AdjointError
 from ..adjoint_gi.bridge.props.request import BakeRequest
+from ..adjoint_gi.core.base.text import plain
 from .background import Guarded, Starts, Stops, report
 
 
@@ -29,7 +30,7 @@ class ADJOINTGI_OT_bake(Starts, bpy.types.Operator):
         """The numbers of the bake."""
         result = scene.adjoint_gi.result
         text = f"{'Partial result' if result.partial else 'Baked'} in {result.seconds:.1f} s with {int(result.rays or 0):,} rays"
-        return f"{text}, energy gap {100 * result.gap:.2g} %" if result.has_balance else text
+        return f"{text}, energy gap {plain(100 * result.gap)} %" if result.has_balance else text
 
 
 class ADJOINTGI_OT_stop(Stops, bpy.types.Operator):

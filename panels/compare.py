@@ -8,6 +8,7 @@ import bpy
 from ..adjoint_gi.bridge.comparison import records as compare_records
 from ..adjoint_gi.bridge.comparison.job import COMPARISONS
 from ..adjoint_gi.bridge.host.background import busy, elsewhere
+from ..adjoint_gi.core.base.text import plain
 from . import text
 from .base import Tab
 from .draw import boxed, field, running
@@ -85,13 +86,13 @@ def method(layout: bpy.types.UILayout, context: bpy.types.Context, row: bpy.type
     head.label(text=row.label, icon="SOLO_ON" if row.best else "DOT")
     right = head.row()
     right.alignment = "RIGHT"
-    right.label(text=f"{100 * row.error:.3g} %" if row.error >= 0 else "-")
+    right.label(text=f"{plain(100 * row.error, 3)} %" if row.error >= 0 else "-")
     column = box.column(align=True)
     column.scale_y = 0.8
     text.label(column, context, f"{text.duration(row.seconds)}, {text.count(int(row.rays or 0))} rays, {row.state}", indent=1)
     flux = f"{'Flux' if unit == 'W' else 'Mean radiance, colours summed,'} {row.gathered:.4g} {unit}"
     if row.has_gap:
-        flux = f"Flux gathered {row.gathered:.4g} {unit}, shot {row.shot:.4g} {unit}, gap {100 * row.gap:+.2g} %"
+        flux = f"Flux gathered {row.gathered:.4g} {unit}, shot {row.shot:.4g} {unit}, gap {plain(100 * row.gap, sign='+')} %"
     if row.has_balance:
         flux += f"; energy gap {text.percent(row.balance)}"
     text.label(column, context, flux, indent=1)

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterable
 import blf
 import bpy
 
+from ..adjoint_gi.core.base.text import plain
+
 FONT = 0
 
 
@@ -96,4 +98,4 @@ def percent(share: float) -> str:
     """A share in percent, two digits; what is left of rounding errors is only shown as small."""
     if 0 < share < 1e-6:
         return "under 0.0001 %"
-    return f"{100 * share:.2g} %"
+    return f"{plain(100 * share)} %"

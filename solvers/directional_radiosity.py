@@ -96,7 +96,7 @@ class DirectionalRadiosity(Solver):
         """Rays both ways, fields of element sides times bins, scattering matrices, receivers."""
         count = element_count(world, receivers, settings.max_edge, self.spec.elements)
         own = (x for m in world.scene.materials for x in m.lobes if x.kind in bsdf.LOBE_KINDS)
-        lobes = {replace(x, color=Color(), weight=1.0, stack=0) for x in own}
+        lobes = {replace(x, color=Color(), weight=1.0, stack=0, edge=Color()) for x in own}
         parts = sum(LOBES[bsdf.LOBE_KINDS[x.kind]].parts * (1 + x.multiscatter) * (SHAPES if x.varies else 1) for x in lobes)
         bins = settings.bin_rows * settings.bin_columns
         return bytes_needed(2 * count, bins, settings.rays, parts, world.tints) + 600 * count + 1200 * receivers.count

@@ -74,7 +74,7 @@ class LocalIllumination(Solver):
         equation="Lo = Le + rho_a L_a + sum_j fr Le(j) cos theta(j) dw(j)  (6)",
         section="5.1",
         idea="Only the light sources light a surface, as a few points each; one constant stands for everything else.",
-        lobes=frozenset({"diffuse", "emission", "glossy", "metallic", "specular"}),
+        lobes=frozenset({"diffuse", "emission", "glossy", "metallic", "tinted metallic", "specular"}),
         limits=lines("""
             No interreflection: indirect light is one constant, the ambient radiance
             Soft shadows are made of one hard shadow per light point

@@ -35,6 +35,7 @@ GOLD = (0.9, 0.6, 0.3, 1.0)
 GREY = (0.8, 0.8, 0.8, 1.0)
 WHITE = (1.0, 1.0, 1.0, 1.0)
 BLACK = (0.0, 0.0, 0.0, 1.0)
+EDGE = (0.2, 0.4, 0.9, 1.0)
 GLOSSY, GLASS, REFRACTION, TRANSPARENT, DIFFUSE, PRINCIPLED = (
     f"ShaderNodeBsdf{x}" for x in ("Anisotropic", "Glass", "Refraction", "Transparent", "Diffuse", "Principled")
 )
@@ -125,6 +126,8 @@ SAME = {
     "refraction 0.3": shader(REFRACTION, Color=GREY, Roughness=0.3, IOR=1.45),
     "transparent": shader(TRANSPARENT, Color=GOLD),
     "metallic 0.3": shader(PRINCIPLED, Base_Color=GOLD, Metallic=1.0, Roughness=0.3),
+    "metallic 0, tinted edge": shader(PRINCIPLED, Base_Color=GOLD, Metallic=1.0, Roughness=0.0, Specular_Tint=EDGE),
+    "metallic 0.3, tinted edge": shader(PRINCIPLED, Base_Color=GOLD, Metallic=1.0, Roughness=0.3, Specular_Tint=EDGE),
     "principled glass, white": shader(PRINCIPLED, Base_Color=WHITE, Transmission_Weight=1.0, Roughness=0.0, IOR=1.5),
     "principled glass, grey": shader(PRINCIPLED, Base_Color=GREY, Transmission_Weight=1.0, Roughness=0.0, IOR=1.5),
     "principled glass, gold": shader(PRINCIPLED, Base_Color=GOLD, Transmission_Weight=1.0, Roughness=0.0, IOR=1.5),
@@ -133,7 +136,12 @@ SAME = {
     "half metal": mix_of(0.5, shader(DIFFUSE, Color=GOLD), shader(PRINCIPLED, Base_Color=GOLD, Metallic=1.0, Roughness=0.3)),
     "half dark metal": mix_of(0.5, shader(DIFFUSE, Color=GOLD), shader(PRINCIPLED, Base_Color=BLACK, Metallic=1.0, Roughness=0.3)),
 }
-if bpy.app.version >= (4, 3, 0):  # Principled of 4.2 has no such input
+if bpy.app.version >= (4, 3, 0):  # 4.2 has neither the node nor Principled that input
+    METALLIC = "ShaderNodeBsdfMetallic"
+    SAME["metallic node 0"] = shader(METALLIC, Base_Color=GOLD, Edge_Tint=EDGE, Roughness=0.0)
+    SAME["metallic node 0.3"] = shader(METALLIC, Base_Color=GOLD, Edge_Tint=EDGE, Roughness=0.3)
+    SAME["metallic node 0.2, default colours"] = shader(METALLIC, Roughness=0.2)
+    SAME["metallic node 0.3, dark"] = shader(METALLIC, Base_Color=(0.3, 0.2, 0.1, 1.0), Edge_Tint=BLACK, Roughness=0.3)
     SAME["principled, rough diffuse 1"] = shader(PRINCIPLED, Base_Color=GOLD, Diffuse_Roughness=1.0, Specular_IOR_Level=0.0, Roughness=0.5)
 Z = baking.sidak(2 * len(SAME), 0.01)  # standard errors: 1 % for the means of all materials together
 LIMIT = baking.sidak(3 * SIZE**2 * len(SAME), 0.01)  # standard errors: 1 % for all pixels, channels and materials together
@@ -165,7 +173,10 @@ OTHER = {
     "dielectric 0.5 tinted": (shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Roughness=0.5, Specular_Tint=GOLD), 0.006),
     "principled coat": (shader(PRINCIPLED, Base_Color=GOLD, Roughness=0.5, Coat_Weight=1.0), -0.015),
     "anisotropic 0.8": (shader(GLOSSY, Color=GOLD, Roughness=0.3, Anisotropy=0.8), 0.182),
-    "metallic node": (shader("ShaderNodeBsdfMetallic", Roughness=0.2), 0.008),
+    "metallic 0.5 multiple, tinted edge": (
+        shader(PRINCIPLED, "MULTI_GGX", Base_Color=GOLD, Metallic=1.0, Roughness=0.5, Specular_Tint=EDGE),
+        -0.003,
+    ),
     "smooth mirror": (shader(GLOSSY, Color=GOLD, Roughness=0.0), 0.0),
     "smooth glossy 0.5": (shader(GLOSSY, Color=GOLD, Roughness=0.5), 0.0),
     "smooth glass": (shader(GLASS, Color=GREY, Roughness=0.0, IOR=1.5), 0.0),
@@ -276,8 +287,6 @@ def test_same_models_agree_within_noise(name):
 @pytest.mark.parametrize("name", OTHER)
 def test_other_models_differ_by_what_the_docs_say(name):
     make, documented = OTHER[name]
-    if name == "metallic node" and not hasattr(bpy.types, "ShaderNodeBsdfMetallic"):
-        pytest.skip("this Blender has no Metallic BSDF node (4.3 and later)")
     whole, ball = measure(name, make)
     said = text(name, whole, ball)
     print(said)

@@ -3,13 +3,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import bpy
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.bridge.cli import cornell as demo
 from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from adjgi.adjoint_gi.core.bsdf import table as bsdf
+from adjgi.tests import baking
 from adjgi.tests.blender.test_extract_colors import Graph, both, pattern, silent
-from adjgi.tests.cycles_patch import empty_material, white_plane
+from adjgi.tests.cycles_patch import empty_material, rendered, white_plane
 
 PRINCIPLED, DIFFUSE = "ShaderNodeBsdfPrincipled", "ShaderNodeBsdfDiffuse"
 WHITE, BLACK, GOLD = (1, 1, 1, 1), (0, 0, 0, 1), (0.9, 0.6, 0.3, 1)
@@ -75,6 +79,77 @@ def test_black_metal_is_kept():
     m = empty_material("m")
     (lobe,) = arrays_of(m, shader(m, PRINCIPLED, Base_Color=BLACK, Metallic=1.0, Roughness=0.3)).materials[0].lobes
     assert lobe.kind == "metallic" and lobe.color.is_black and lobe.weight == 1.0
+
+
+METALLIC = "ShaderNodeBsdfMetallic"
+TINTED = {
+    "principled": (PRINCIPLED, {"Base_Color": GOLD, "Metallic": 1.0, "Specular_Tint": (0.2, 0.4, 0.9, 1)}),
+    "metallic": (METALLIC, {"Base_Color": GOLD, "Edge_Tint": (0.2, 0.4, 0.9, 1)}),
+    "dark": (METALLIC, {"Base_Color": (0.02, 0.0, 0.1, 1), "Edge_Tint": (0.0, 0.0, 0.2, 1)}),
+    "beyond white": (PRINCIPLED, {"Base_Color": (0.3, 0.3, 0.3, 1), "Metallic": 1.0, "Specular_Tint": (1.5, 3.0, 0.5, 1)}),
+    "half": (PRINCIPLED, {"Base_Color": GOLD, "Metallic": 0.5, "Specular_Tint": (0.2, 0.4, 0.9, 1), "Specular_IOR_Level": 0.0}),
+}
+
+
+@pytest.mark.parametrize("degrees", [0, 60, 75, 82])
+@pytest.mark.parametrize("name", TINTED)
+def test_metals_with_tinted_edges_reflect_what_they_do_in_cycles(name, degrees):
+    """A plane in an even white world: mirrors to four digits, rough metals within noise and what multiple bounces are apart."""
+    kind, values = TINTED[name]
+    if not hasattr(bpy.types, kind):
+        pytest.skip("this Blender has no Metallic BSDF node (4.3 and later)")
+    for roughness, distribution, apart in ((0.0, "GGX", 1e-4), (0.3, "GGX", 2e-3), (0.5, "MULTI_GGX", 0.02)):
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+        m = empty_material("m")
+        output = shader(m, kind, **values, Roughness=roughness)
+        output.node.distribution = distribution
+        arrays = arrays_of(m, output)
+        assert not [n for n in arrays.warnings if "Material" in n.object]
+        found, error = albedo(arrays, degrees)
+        theirs, spread = seen_by_cycles(degrees, 512 if roughness else 4)
+        limit = apart + 5 * np.hypot(error, spread)
+        assert (np.abs(found - theirs) < limit).all(), (roughness, found, theirs, limit)
+
+
+def seen_by_cycles(degrees, samples):
+    """(3,) radiance of the plane in a white world, and the standard error of that."""
+    scene, angle = bpy.context.scene, np.radians(degrees)
+    scene.world = bpy.data.worlds.new("white")
+    demo.black_world(scene.world, (1.0, 1.0, 1.0))
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    camera.location, camera.rotation_euler = (0.5 * np.sin(angle), 0, 0.5 * np.cos(angle)), (0, angle, 0)
+    camera.data.type, camera.data.ortho_scale, camera.data.clip_start = "ORTHO", 1e-3, 1e-3
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    scene.render.resolution_x = scene.render.resolution_y = 8
+    scene.render.resolution_percentage = 100
+    baking.use_cycles(scene, 3)
+    scene.cycles.samples, scene.cycles.blur_glossy = samples, 0.0
+    scene.cycles.caustics_reflective = True
+    pixels = rendered(8).astype(np.float64).reshape(-1, 3)
+    return pixels.mean(axis=0), pixels.std(axis=0) / 8
+
+
+def test_a_white_tint_leaves_a_metal_as_it_was():
+    """Of Principled, which has it by default; and the Metallic node with a white edge is that metal, too."""
+    m = empty_material("m")
+    (lobe,) = arrays_of(m, shader(m, PRINCIPLED, Base_Color=GOLD, Metallic=1.0, Roughness=0.3)).materials[0].lobes
+    assert lobe.kind == "metallic" and lobe.edge.constant == (1.0, 1.0, 1.0)
+    if hasattr(bpy.types, METALLIC):
+        m = empty_material("n")
+        (same,) = arrays_of(m, shader(m, METALLIC, Base_Color=GOLD, Edge_Tint=WHITE, Roughness=0.3)).materials[-1].lobes
+        assert dataclasses.replace(same, multiscatter=lobe.multiscatter) == lobe
+
+
+def test_a_tint_may_be_an_image():
+    g = Graph()
+    image = g.image(interpolation="Closest")
+    white_plane(2.0, g.material)
+    metal = g.add(PRINCIPLED, None, {"Specular Tint": image.outputs["Color"]})
+    metal.inputs["Base Color"].default_value, metal.inputs["Metallic"].default_value = GOLD, 1.0
+    g.link(metal.outputs[0], g.tree.nodes["Material Output"].inputs["Surface"])
+    (lobe,) = extract(bpy.context.evaluated_depsgraph_get()).materials[0].lobes
+    assert lobe.kind == "tinted metallic" and [s.kind for t in lobe.edge.terms for s in t.sources] == ["image"]
 
 
 @pytest.mark.parametrize("name", ["Alpha", "Metallic", "Transmission_Weight"])

@@ -31,6 +31,8 @@ ROUGH = {
     "white and gold glass": [Lobe("glass", C(0.9, 0.6, 0.3), 0.4, 1.5), Lobe("dielectric", C(0.1, 0.4, 0.7), 0.4, 1.5)],
     "refraction": [Lobe("refraction", C(0.9), 0.4, 1.5)],
     "glossy, many bounces": [Lobe("glossy", C(0.9), 0.8, multiscatter=True)],
+    "tinted metal": [Lobe("tinted metallic", C(0.9, 0.6, 0.2), 0.4, edge=C(0.2, 0.5, 1.0))],
+    "tinted metal, many bounces": [Lobe("tinted metallic", C(0.9, 0.6, 0.0), 0.7, multiscatter=True, edge=C(0.0, 0.5, 0.1))],
     "metallic, many bounces": [Lobe("metallic", C(0.9, 0.6, 0.2), 0.7, multiscatter=True)],
     "glass, many bounces": [Lobe("glass", C(1), 0.8, 1.5, multiscatter=True)],
     "rough diffuse": [Lobe("rough diffuse", C(0.9), 0.8)],
@@ -336,13 +338,14 @@ def test_factors_and_tints_of_a_white_lobe_make_up_the_lobe(kind, many):
 
     def seen(color, alpha, many):
         shape = np.full(n, alpha, np.float32), np.full(n, 1.5, np.float32)
-        return LobeView(wo, color, *shape, Mixture.of(0, n), np.ones(n, bool), np.full(n, many))
+        return LobeView(wo, color, *shape, Mixture.of(0, n), np.ones(n, bool), np.full(n, many), edge)
 
     color = np.tile(np.float32([0.9, 0.6, 0.2]), (n, 1))
+    edge = np.tile(np.float32([0.2, 0.5, 1.0]), (n, 1))
     name, width = kind.split(alpha)
     (base,) = (k for k in kinds.LOBES if k.name == name)
     white = base.evaluate(seen(np.ones_like(color), width, False), wi)[0]
-    factors, tints = kind.factors(alpha, wo, wi), kind.tints(alpha, many, color)
+    factors, tints = kind.factors(alpha, wo, wi), kind.tints(alpha, many, color, edge)
     assert len(factors) == len(tints) == kind.parts
     got = sum(white * f[:, None] * t for f, t in zip(factors, tints, strict=True))
     want = kind.evaluate(seen(color, alpha, many), wi)[0]
@@ -420,10 +423,10 @@ def test_elements_with_directions_scatter_a_rough_diffuse_lobe_as_it_is(many, co
         assert (np.abs(got[out] - f[here].mean(axis=0)) < 5 * error + 0.02 * got[out]).all()
 
 
-@pytest.mark.parametrize("kind", ["metallic", "glossy"])
+@pytest.mark.parametrize("kind", ["metallic", "tinted metallic", "glossy"])
 def test_elements_with_directions_colour_what_bounces_between_facets(kind):
     """As often as it bounces: even light is reflected as by the BSDF."""
-    lobes, n, rng = [Lobe(kind, C(0.2, 0.5, 0.9), 1.0, multiscatter=True)], 1 << 17, np.random.default_rng(6)
+    lobes, n, rng = [Lobe(kind, C(0.2, 0.5, 0.9), 1.0, multiscatter=True, edge=C(0.0, 0.2, 1.0))], 1 << 17, np.random.default_rng(6)
     b = SceneBuilder()
     b.quad("Quad", (0, 0, 0), (1, 0, 0), (0, 1, 0), Material("M", tuple(lobes)))
     world, bins = World(b.build()), Bins(4, 8)

@@ -5,7 +5,7 @@ import json
 
 import pytest
 from adjgi.adjoint_gi.core.base.errors import AdjointError, Notice
-from adjgi.adjoint_gi.core.base.text import json_text, printable
+from adjgi.adjoint_gi.core.base.text import json_text, plain, printable
 
 FORGED = [
     ("a\x1b[31mred", "a\\x1b[31mred"),
@@ -16,6 +16,14 @@ FORGED = [
     ("a\u2028b\x85c\x0bd", "a\\u2028b\\x85c\\x0bd"),
     ("a\udc80", "a\\udc80"),
 ]
+
+
+@pytest.mark.parametrize(
+    ("x", "shown"), [(100.0, "100"), (99.6, "100"), (1234.5, "1234"), (99.4, "99"), (0.0123, "0.012"), (-250.0, "-250"), (1e-9, "1e-09")]
+)
+def test_large_numbers_have_no_exponent(x, shown):
+    assert plain(x) == shown
+    assert plain(abs(x), 3, "+")[0] == "+"
 
 
 @pytest.mark.parametrize(("name", "shown"), FORGED)

@@ -56,7 +56,7 @@ def test_every_kind_of_lobe_reflects_here_as_a_diffuse_surface_or_is_a_clear_sur
     albedo = 1 - 1 / s.quantity("radiosity")[0::2].mean() - 0.3
     if kind.name in ("specular", "dielectric", "transparent"):
         assert albedo == pytest.approx(0.0, abs=1e-3)
-    elif kind.name == "metallic":
+    elif kind.name in ("metallic", "tinted metallic"):
         assert albedo == pytest.approx(0.5 + 0.5 / 21, abs=1e-3)  # the mean of Schlick's reflectance
     else:
         assert 0.9 * 0.5 < albedo < 0.5 + 1e-3

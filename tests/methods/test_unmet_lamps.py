@@ -114,6 +114,45 @@ def test_a_lamp_is_named_until_enough_paths_meet_it(lamp):
     assert not unmet_lamps.notices(emitters, 1 << 17)
 
 
+def lit_below(base, measure, lamp=SUN):
+    """Notices of a lamp above a pane, over a floor of lobes `base`."""
+    b = SceneBuilder()
+    b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), Material("Floor", base))
+    b.box("Pane", (-2, -2, 1), (2, 2, 1.05), Material("Glass", (Lobe("glass", Color.of(1), 0.0),)), inward=False)
+    b.light(lamp)
+    return unmet_lamps.notices(Emitters(World(b.build())), 64, measure=measure)
+
+
+COAT = Lobe("specular", Color.of(1), 0.5, 1.5)
+BLACK = {"black": (), "coated": (COAT,), "black diffuse": (Lobe("diffuse", Color.of(0.0)),), "shining": (Lobe("emission", Color.of(1.0)),)}
+
+
+@pytest.mark.parametrize("lamp", [SUN, Light("Lamp", "point", (1, 1, 1), (0, 0, 2))], ids=["sun", "point"])
+@pytest.mark.parametrize("base", BLACK)
+def test_irradiance_of_black_surfaces_lacks_what_that_of_grey_ones_lacks(base, lamp):
+    """A picture of them lacks nothing. What a coat keeps is irradiance, too."""
+    (said,) = lit_below(BLACK[base], "irradiance", lamp)
+    (same,) = lit_below(diffuse("Grey", 0.5).lobes, "irradiance", lamp)
+    assert said.reason == same.reason and not lit_below(BLACK[base], "radiance", lamp)
+
+
+@pytest.mark.parametrize("name", [*WALKS, "whitted"])
+def test_methods_ask_for_the_irradiance_of_black_surfaces(name):
+    b = SceneBuilder()
+    b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), diffuse("Black", 0.0))
+    b.box("Pane", (-2, -2, 1), (2, 2, 1.05), Material("Glass", (Lobe("glass", Color.of(1), 0.0),)), inward=False)
+    b.light(SUN)
+    receivers = ElementReceivers(Elements(World(b.build()), 1.0))
+    options = {"irradiance_cache": {"rays": 16}, "whitted": {}}.get(name, {"samples": 4})
+    assert [w for w in solving.solve(name, receivers, **options).warnings if "by way of Pane" in w.reason]
+
+
+def test_all_of_the_light_is_100_percent():
+    """Not 1e+02 %: two mirrors send it to the floor, which has it from nowhere else."""
+    light = unmet_lamps.ChanceLight(0.998, 0.0, ["Lamp"], ["Mirror"])
+    assert "(100 % of what it gives)" in light.notice("is missing", "Go").reason
+
+
 def test_lamps_that_no_path_meets_are_told_apart_from_those_few_meet():
     told = unmet_lamps.notices(paned(Light("Lamp", "point", (1, 1, 1), (0, 0, 2))), 64)
     assert len(told) == 1 and "without size" in told[0].reason

@@ -15,7 +15,7 @@ import bpy
 from ...core.base.atomic import check_target, replace_file
 from ...core.base.errors import AdjointError, MemoryRefused, Notice, SceneError, TargetError, WriteError
 from ...core.base.resources import peak_memory, size_text
-from ...core.base.text import json_text
+from ...core.base.text import json_text, plain
 from ...core.method.driver import answering
 from ...core.method.solution import Solution
 from ..baking.bake import Bake, rehearse
@@ -152,7 +152,7 @@ def summary(made: Bake) -> str:
     state = "partial result" if solution.partial else "finished"
     text = f"{state}: {driver.solver.spec.id} to {made.request.target}, {seconds_text(solution.seconds)}, {int(solution.rays):,} rays"
     if solution.balance is not None:
-        text += f", energy gap {100 * solution.balance.gap:.2g} %"
+        text += f", energy gap {plain(100 * solution.balance.gap)} %"
     peak = peak_memory()
     return text + (f", peak memory {size_text(peak)}" if peak is not None else "")
 

@@ -1,7 +1,7 @@
 """Principled BSDF of Blender 4.2 to 5.2 as lobes; sockets are looked up by name.
 
 With alpha a, metallic m, transmission t, base colour C (each may be textured), weight x colour:
-    transparent 1 - a;  emission a * colour * strength;  metallic a m x C;
+    transparent 1 - a;  emission a * colour * strength;  metallic a m x C, tinted at its edge where the specular tint is not white;
     glass a (1 - m) t x sqrt(C), dielectric a (1 - m) t x (1 - sqrt(C));
     diffuse a (1 - m) (1 - t) x C, rough where Diffuse Roughness is above 0;
     specular a (1 - m) (1 - t) x tint, a dielectric coat over the diffuse of the same node.
@@ -59,14 +59,15 @@ def principled_lobes(colors: Colors, place: Place, stack: int) -> list[Lobe]:
 
     # Step 2: what is reflected.
     lobes.append(diffuse_lobe(base, number("Diffuse Roughness", 0.0), dielectric, stack))
-    lobes.append(Lobe("metallic", base, roughness, multiscatter=many, weight=metallic * alpha))
+    shines = not metallic.is_black or adjusted != 1.0
+    tint = colors.color(sockets["Specular Tint"]) if shines and "Specular Tint" in sockets else Color.of(1.0)
+    lobes.append(metal_lobe(base, tint, roughness, many, metallic * alpha))
     glass = alpha * metallic.complement() * transmission
     if not glass.is_black:
         root = _root(colors, place, base)
         lobes.append(Lobe("glass", root, roughness, ior, many, glass))
         lobes.append(Lobe("dielectric", root.complement(), roughness, ior, weight=glass))
     if adjusted != 1.0:
-        tint = colors.color(sockets["Specular Tint"]) if "Specular Tint" in sockets else Color.of(1.0)
         lobes.append(Lobe("specular", tint, roughness, adjusted, weight=dielectric, stack=stack))
 
     # Step 3: name what is left out.
@@ -84,6 +85,15 @@ def diffuse_lobe(color: Color, roughness: float, weight: Scalar = 1.0, stack: in
         return Lobe("diffuse", color, weight=weight, stack=stack)
     keeps = rough_diffuse_keeps_energy()
     return Lobe("rough diffuse", color, min(roughness, 1.0), multiscatter=keeps, weight=weight, stack=stack)
+
+
+def metal_lobe(color: Color, edge: Color, roughness: float, multiscatter: bool, weight: Scalar = 1.0) -> Lobe:
+    """A metal by Schlick, or where it is tinted at 82 degrees, by the F82 model; a tint above 1 counts as 1, as in Cycles."""
+    if edge.is_constant and min(edge.constant) >= 1.0:
+        return Lobe("metallic", color, roughness, multiscatter=multiscatter, weight=weight)
+    if edge.is_constant:
+        edge = Color.of(*(min(max(c, 0.0), 1.0) for c in edge.constant))
+    return Lobe("tinted metallic", color, roughness, multiscatter=multiscatter, weight=weight, edge=edge)
 
 
 def _root(colors: Colors, place: Place, base: Color) -> Color:

@@ -15,7 +15,7 @@ from .color_math import LARGEST_POLYNOMIAL, combined
 from .colors import Colors
 from .images import Images
 from .nodes import UNREADABLE, NodesTooDeep, Place, follow, inputs, is_linked
-from .principled import diffuse_lobe, principled_lobes
+from .principled import diffuse_lobe, metal_lobe, principled_lobes
 
 DEPTH = 64  # shaders mixed into each other
 LINEAR = ("diffuse", "emission", "transparent")  # kinds whose weight goes into their colour: nothing else is computed of it
@@ -126,11 +126,15 @@ class Shaders:
         self._normal(place, sockets)
         if node.distribution in ("BECKMANN", "ASHIKHMIN_SHIRLEY") and roughness > 0.0:
             self.colors.skip(place, f"has the distribution {node.distribution}", "it is computed as GGX", "Choose GGX")
-        if getattr(node, "fresnel_type", "") == "PHYSICAL_CONDUCTOR":
+        many = node.distribution == "MULTI_GGX"
+        fresnel = getattr(node, "fresnel_type", "")
+        if fresnel == "F82":
+            edge = self.colors.color(sockets["Edge Tint"])
+            return [metal_lobe(self.colors.color(sockets["Base Color"]), edge, min(max(roughness, 0.0), 1.0), many)]
+        if fresnel == "PHYSICAL_CONDUCTOR":
             color = self._conductor(place, sockets)
         else:
             color = self.colors.color(sockets["Color"] if "Color" in sockets else sockets["Base Color"])
-        many = node.distribution == "MULTI_GGX"
         return [Lobe(kind, color, min(max(roughness, 0.0), 1.0), max(ior, 1e-3), many)]
 
     def _conductor(self, place: Place, sockets: dict[str, Place]) -> Color:

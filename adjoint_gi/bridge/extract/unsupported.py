@@ -71,7 +71,7 @@ def name_bright_attributes(
 
 def _layers(material: Material) -> set[tuple[str, str]]:
     """(kind, name) of all sources of a material."""
-    return {(s.kind, s.name) for lobe in material.lobes for t in lobe.share.terms for s in t.sources}
+    return {(s.kind, s.name) for lobe in material.lobes for t in (*lobe.share.terms, *lobe.edge.terms) for s in t.sources}
 
 
 # ---- kinds of rays and light linking

@@ -1,4 +1,4 @@
-"""Text for others to read: names from files that strangers made, and JSON that every reader accepts."""
+"""Text for others to read: names from files that strangers made, numbers, and JSON that every reader accepts."""
 
 from __future__ import annotations
 
@@ -23,6 +23,12 @@ def printable(text: str, keep: str = "") -> str:
 
 def _escape(c: str) -> str:
     return c.encode("unicode_escape").decode()
+
+
+def plain(x: float, digits: int = 2, sign: str = "") -> str:
+    """`x` with so many digits that count, and never with an exponent for many before the point: 100, not 1e+02. `sign`: "+" to have it."""
+    text = f"{x:{sign}.{digits}g}"
+    return f"{x:{sign}.0f}" if "e+" in text else text
 
 
 def json_text(value: Any, indent: int | None = None) -> str:

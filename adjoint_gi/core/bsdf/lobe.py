@@ -20,7 +20,7 @@ class LobeView:
 
     color (m, 3), the surface's own: what weight a lobe has in a mix is left to `table.py`; alpha (m,), roughness squared; ior (m,);
     entering (m,) bool: seen from outside; gain: rows of the scene's `Gains`, 0 where light that bounces more than once between
-    microfacets is lost; many (m,) bool: it is kept.
+    microfacets is lost; many (m,) bool: it is kept; edge (m, 3), `Lobe.edge`, None where it is white everywhere.
     """
 
     wo: np.ndarray
@@ -30,11 +30,13 @@ class LobeView:
     gain: Mixture
     entering: np.ndarray
     many: np.ndarray
+    edge: np.ndarray | None = None
 
     def take(self, which: np.ndarray) -> LobeView:
         """The same at a subset of the points."""
         parts = (self.wo, self.color, self.alpha, self.ior)
-        return LobeView(*(a[which] for a in parts), self.gain.take(which), self.entering[which], self.many[which])
+        edge = None if self.edge is None else self.edge[which]
+        return LobeView(*(a[which] for a in parts), self.gain.take(which), self.entering[which], self.many[which], edge)
 
     @property
     def eta(self) -> np.ndarray:
@@ -93,8 +95,8 @@ class LobeKind(ABC):
         """Albedo of the diffuse surface that methods put in its place which know no other lobe; black where they leave it out."""
         return lobe.share
 
-    def mean(self, color: np.ndarray) -> np.ndarray:
-        """(m, 3) what facets of this colour (m, 3) reflect and pass, in the mean over all angles."""
+    def mean(self, color: np.ndarray, edge: np.ndarray | None = None) -> np.ndarray:
+        """(m, 3) what facets of this colour (m, 3), and edge (m, 3), reflect and pass, in the mean over all angles."""
         return color
 
     def reflected(self, seen: LobeView, cosine: np.ndarray) -> np.ndarray:
@@ -121,6 +123,6 @@ class LobeKind(ABC):
         """Factors (n,) float64 on the pairs of `split`: their sum, each times its colour of `tints`, is this lobe."""
         return [np.ones(len(given))]
 
-    def tints(self, alpha: float, many: bool, color: np.ndarray) -> list[np.ndarray]:
-        """Colours (m, 3), one for each of `factors`, of surfaces of `color` (m, 3)."""
+    def tints(self, alpha: float, many: bool, color: np.ndarray, edge: np.ndarray | None = None) -> list[np.ndarray]:
+        """Colours (m, 3), one for each of `factors`, of surfaces of `color` (m, 3) and `edge` (m, 3)."""
         return [color]

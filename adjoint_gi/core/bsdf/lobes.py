@@ -9,7 +9,7 @@ import numpy as np
 from .diffuse import Diffuse
 from .lobe import LobeKind
 from .oren_nayar import OrenNayar
-from .reflection import Dielectric, Glossy, Metallic, Specular
+from .reflection import Dielectric, Glossy, Metallic, Specular, TintedMetallic
 from .transmission import Glass, Refraction, Transparent
 
 # A lobe's number is its place here. Diffuse is number 0: points keep its colour apart, and an empty slot has this number, too.
@@ -23,6 +23,7 @@ LOBES: tuple[LobeKind, ...] = (
     Transparent(),
     Dielectric(),
     OrenNayar(),
+    TintedMetallic(),
 )
 DIFFUSE = 0
 LOBE_KINDS = {kind.name: number for number, kind in enumerate(LOBES) if number}

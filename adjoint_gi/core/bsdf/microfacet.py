@@ -12,6 +12,7 @@ from ..sampling.maps import dot_rows
 
 PI = np.float32(np.pi)
 TINY = np.float32(1e-20)
+EDGE_WHITE, EDGE_SCALE = np.float32((6 / 7) ** 5), np.float32(7 / (6 / 7) ** 6)  # (1 - c)^5 and 1 / (c (1 - c)^6) at the cosine 1/7
 
 
 def cosine_entry(cosine: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -86,6 +87,18 @@ def schlick(cos_i: np.ndarray, f0: np.ndarray) -> np.ndarray:
     """Schlick's reflectance (n, 3) of a conductor with normal reflectance `f0` (n, 3)."""
     m = np.clip(1 - np.abs(cos_i), 0, 1)[:, None]
     return f0 + (1 - f0) * (m * m) * (m * m) * m
+
+
+def tinted(cos_i: np.ndarray, f0: np.ndarray, edge: np.ndarray) -> np.ndarray:
+    """The same (n, 3) of a conductor that reflects `edge` (n, 3) times as much at 82 degrees, the cosine 1/7 (Kutz et al. 2021)."""
+    c = np.clip(np.abs(cos_i), 0, 1)[:, None]
+    m = 1 - c
+    return np.maximum(schlick(cos_i, f0) - edge_dip(f0, edge) * (c * (m * m) * (m * m) * (m * m)), 0)
+
+
+def edge_dip(f0: np.ndarray, edge: np.ndarray) -> np.ndarray:
+    """b (n, 3): by b c (1 - c)^6 at the cosine c an edge's tint lowers Schlick's reflectance, which at c = 1/7 is f0 + (1 - f0) (6/7)^5."""
+    return (f0 + (1 - f0) * EDGE_WHITE) * (1 - edge) * EDGE_SCALE
 
 
 def reflect(w: np.ndarray, h: np.ndarray) -> np.ndarray:

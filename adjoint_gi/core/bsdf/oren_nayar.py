@@ -61,7 +61,7 @@ class OrenNayar(LobeKind):
         """The first term of f, and the second one without its colours, over 1 / pi."""
         return [np.pi * x.astype(float) for x in terms(np.full(len(given), alpha, np.float32), given, other)]
 
-    def tints(self, alpha: float, many: bool, color: np.ndarray) -> list[np.ndarray]:
+    def tints(self, alpha: float, many: bool, color: np.ndarray, edge: np.ndarray | None = None) -> list[np.ndarray]:
         """The colour, and what is left of it after more bounces."""
         return [color, many * color * kept(np.full(len(color), alpha), color)]
 

@@ -9,6 +9,8 @@ from ..scene.arrays import Color, Lobe
 from . import microfacet as mf
 from .lobe import DELTA_ALPHA, Drawn, LobeKind, LobeView
 
+COSINES = (np.arange(64) + 0.5) / 64  # at which a tinted reflectance is kept from falling below 0
+
 
 class Reflection(LobeKind):
     """What the facets `reflected`, times D G / (4 wo_z)."""
@@ -57,7 +59,7 @@ class Metallic(Glossy):
         """By Schlick's formula."""
         return mf.schlick(cosine, seen.color)
 
-    def mean(self, color: np.ndarray) -> np.ndarray:
+    def mean(self, color: np.ndarray, edge: np.ndarray | None = None) -> np.ndarray:
         """The mean of Schlick's reflectance is f0 + (1 - f0) / 21."""
         return color + (1 - color) / 21
 
@@ -85,9 +87,60 @@ class Metallic(Glossy):
         white = np.clip(1 - np.einsum("ij,ij->i", given, h).astype(np.float64), 0, 1) ** 5
         return [1 - white, white]
 
-    def tints(self, alpha: float, many: bool, color: np.ndarray) -> list[np.ndarray]:
+    def tints(self, alpha: float, many: bool, color: np.ndarray, edge: np.ndarray | None = None) -> list[np.ndarray]:
         """The metal's colour, and white."""
         return [color, np.ones_like(color)]
+
+
+class TintedMetallic(Metallic):
+    """Facets of a conductor whose reflectance is tinted at 82 degrees (Kutz et al. 2021, the F82 model): Schlick's, less b c (1 - c)^6 at
+    the cosine c, and never below 0."""
+
+    name = "tinted metallic"
+    parts = 3
+
+    def reflected(self, seen: LobeView, cosine: np.ndarray) -> np.ndarray:
+        """By Schlick's formula and the tint of the edge."""
+        return super().reflected(seen, cosine) if seen.edge is None else mf.tinted(cosine, seen.color, seen.edge)
+
+    def mean(self, color: np.ndarray, edge: np.ndarray | None = None) -> np.ndarray:
+        """The mean of c (1 - c)^6 is 1 / 126."""
+        white = super().mean(color)
+        return white if edge is None else np.maximum(white - mf.edge_dip(color, edge) / 126, 0)
+
+    def albedo(self, seen: LobeView) -> np.ndarray:
+        """The reflectance of a smooth metal."""
+        return self.reflected(seen, seen.wo[:, 2])
+
+    def as_diffuse(self, lobe: Lobe) -> Color:
+        """Its mean reflectance: of constant colours as it is, of others without the bound at 0."""
+        if lobe.color.is_constant and lobe.edge.is_constant:
+            color, edge = (np.broadcast_to(np.float32(x.constant), (len(COSINES), 3)) for x in (lobe.color, lobe.edge))
+            mean = (2 * COSINES[:, None] * mf.tinted(COSINES, color, edge)).mean(axis=0)
+            return Color.of(*mean.tolist()) * lobe.weight
+        at_edge = lobe.color + Color.of(float(mf.EDGE_WHITE)) * lobe.color.complement()
+        dip = at_edge * lobe.edge.complement() * lobe.weight * (float(mf.EDGE_SCALE) / 126)
+        return super().as_diffuse(lobe) + dip * -1.0
+
+    def fresnel(self, seen: LobeView, cosine: np.ndarray) -> np.ndarray:
+        """Fresnel's reflectance times what the tint leaves of Schlick's."""
+        left = self.reflected(seen, cosine) / np.maximum(super().reflected(seen, cosine), mf.TINY)
+        return super().fresnel(seen, cosine) * left
+
+    def factors(self, alpha: float, given: np.ndarray, other: np.ndarray) -> list[np.ndarray]:
+        """Those of an untinted metal, and what the tint takes away: c (1 - c)^6."""
+        plain, white = super().factors(alpha, given, other)
+        beyond = white ** (1 / 5)  # 1 - c
+        return [plain, white, (1 - beyond) * white * beyond]
+
+    def tints(self, alpha: float, many: bool, color: np.ndarray, edge: np.ndarray | None = None) -> list[np.ndarray]:
+        """The metal's colour, white, and -b, as large as leaves a reflectance of at least 0 at every angle."""
+        dip = np.zeros_like(color)
+        if edge is not None:
+            dip = mf.edge_dip(color, edge)
+            for c in COSINES:
+                dip = np.minimum(dip, (color + (1 - color) * (1 - c) ** 5) / (c * (1 - c) ** 6))
+        return [*super().tints(alpha, many, color), -dip]
 
 
 class Dielectric(Reflection):

@@ -32,6 +32,7 @@ from .multiscatter import Gains
 
 __all__ = ["LOBE_KINDS", "LOBES", "BsdfTable", "Lobes", "Scattered", "Slot", "evaluate", "sample", "weights", "white_lobe"]
 
+WHITE = Color.of(1.0)
 LEAST_ALBEDO = np.float32(0.02)  # as which a lobe counts at least when one is picked: coats and metals that are dark at normal incidence
 
 
@@ -39,7 +40,7 @@ LEAST_ALBEDO = np.float32(0.02)  # as which a lobe counts at least when one is p
 class Slot:
     """One non-diffuse lobe at n points: kind (n,) int8 (0 where there is none), color (n, 3) of the surface, weight (n,) that the lobe
     has, alpha (n,), ior (n,), and gain, rows of `BsdfTable.gains` for light that bounces more than once between microfacets, 0 where it
-    is lost; many (n,) bool: it is kept."""
+    is lost; many (n,) bool: it is kept; edge (n, 3), `Lobe.edge`, None where no material tints it."""
 
     kind: np.ndarray
     color: np.ndarray
@@ -48,11 +49,13 @@ class Slot:
     ior: np.ndarray
     gain: Mixture
     many: np.ndarray
+    edge: np.ndarray | None = None
 
     def take(self, which: np.ndarray) -> Slot:
         """The same at a subset of the points."""
         parts = (self.kind, self.color, self.weight, self.alpha, self.ior)
-        return Slot(*(a[which] for a in parts), self.gain.take(which), self.many[which])
+        edge = None if self.edge is None else self.edge[which]
+        return Slot(*(a[which] for a in parts), self.gain.take(which), self.many[which], edge)
 
     @property
     def delta(self) -> np.ndarray:
@@ -103,7 +106,8 @@ class Lobes:
     def seen(self, i: int, rows: np.ndarray) -> LobeView:
         """Slot `i` in some rows, all of one kind."""
         s = self.slots[i]
-        return LobeView(self.local[rows], s.color[rows], s.alpha[rows], s.ior[rows], s.gain.take(rows), self.entering[rows], s.many[rows])
+        parts = (self.local[rows], s.color[rows], s.alpha[rows], s.ior[rows], s.gain.take(rows), self.entering[rows], s.many[rows])
+        return LobeView(*parts, None if s.edge is None else s.edge[rows])
 
     def albedos(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Where lobes of weight 1 send something else than their colour of uniform light towards wo: slot, rows (m,), and what (m, 3)."""
@@ -217,6 +221,8 @@ class SlotFields:
     def __init__(self, lobes: list[Lobe | None], scene: SceneArrays, table: BsdfTable) -> None:
         self.kind = np.array([LOBE_KINDS[x.kind] if x else 0 for x in lobes], np.int8)
         self.color = ColorField([x.color if x else Color() for x in lobes], scene)
+        edges = [x.edge if x else WHITE for x in lobes]
+        self.edge = ColorField(edges, scene) if any(x != WHITE for x in edges) else None
         self.roughness = ScalarField([x.roughness if x else 1.0 for x in lobes], scene, 0.0, 1.0)
         self.ior = ScalarField([x.ior if x else 1.0 for x in lobes], scene, 1e-3, np.inf)
         self.weight = ScalarField([x.weight if x else 0.0 for x in lobes], scene, 0.0, np.inf)
@@ -256,7 +262,8 @@ class SlotFields:
         color = self.color.at(triangle, u, v)
         if self.color.varying:
             color = np.clip(color, 0, 1)
-        return Slot(self.kind[material], color, weight, roughness**2, ior, gain, self.many[material])
+        edge = None if self.edge is None else np.clip(self.edge.at(triangle, u, v), 0, 1)
+        return Slot(self.kind[material], color, weight, roughness**2, ior, gain, self.many[material], edge)
 
     def coat_rows(self, material: np.ndarray, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> Mixture:
         """Rows of the scene's coats at barycentrics of triangles of `material` (n,), 0 where there is none."""
@@ -333,7 +340,7 @@ def gain_factor(kind: LobeKind, seen: LobeView, wi: np.ndarray, gains: Gains) ->
     """(m, 3) factor on single scattering that gives back what bounces again between microfacets; 1 where it is lost."""
     if not seen.gain.any():
         return np.float32(1)
-    kept = gains.kept(seen.gain, kind.mean(seen.color))
+    kept = gains.kept(seen.gain, kind.mean(seen.color, seen.edge))
     return 1 + kept * gains.excess(seen.gain, ~seen.entering, seen.wo, wi)[:, None]
 
 

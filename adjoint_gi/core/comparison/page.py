@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..base.color import decode_srgb
+from ..base.text import plain
 from ..flux.agreement import LOUD, Agreement
 from ..images.png import encode_png
 from .budget import STATES, Budget, Entry
@@ -46,7 +47,7 @@ CAPTIONS = {
 
 def percent(value: float | None) -> str:
     """A share with three digits, a dash for None or no number."""
-    return "-" if value is None or not math.isfinite(value) else f"{100 * value:.3g} %"
+    return "-" if value is None or not math.isfinite(value) else f"{plain(100 * value, 3)} %"
 
 
 def number(value: float | None) -> str:
@@ -157,11 +158,14 @@ def _agreement(found: Agreement) -> str:
         for k, m in enumerate(methods):
             noise = f" &plusmn; {m.error[i]:.1g}" if m.freedom else ""
             known = found.gaps is not None and math.isfinite(found.gaps[k, i])
-            gap = f"<br><span class=quiet>{100 * found.gaps[k, i]:+.3g} %</span>" if known else ""
+            gap = f"<br><span class=quiet>{plain(100 * found.gaps[k, i], 3, sign='+')} %</span>" if known else ""
             cells.append(f"{m.value[i]:.4g}{noise}{gap}")
         rows.append((cells, False))
     pairs = [
-        ([escape(d.first), escape(d.second), escape(d.object), f"{100 * d.relative:+.3g} %", f"{d.t:.3g}", f"{d.p:.2g}"], False)
+        (
+            [escape(d.first), escape(d.second), escape(d.object), f"{plain(100 * d.relative, 3, sign='+')} %", f"{d.t:.3g}", f"{d.p:.2g}"],
+            False,
+        )
         for d in found.differences
     ]
     pair_head = ["First", "Second", "Object", "Difference", "t beyond the allowances", "p after Sidak"]

@@ -142,10 +142,11 @@ class Scattering(Generic[AnyBasis]):
             which = group.elements
             parts: list[Part] = []
             for slot, (kind, alpha, ior, gain, many) in enumerate(group.kinds):
-                color, weight = means.color[slot][which], means.weight[slot][which, None]
+                color, weight, edge = means.color[slot][which], means.weight[slot][which, None], means.edge[slot]
+                edge = None if edge is None else edge[which]
                 if not kind or not weight.any():
                     continue
-                shares = [weight * x for x in LOBES[kind].tints(alpha, many, color)]
+                shares = [weight * x for x in LOBES[kind].tints(alpha, many, color, edge)]
                 if not any(x.any() for x in shares):
                     continue
                 self.clear |= LOBES[kind].refracts and ior != 1
@@ -156,7 +157,7 @@ class Scattering(Generic[AnyBasis]):
                     cache[key] = _kernels(basis, *key[:5], table, self.pairs, coating)
                     yield (done - 0.5) / len(groups)
                 if gain:
-                    kept = table.gains.kept(Mixture.of(gain, len(color)), LOBES[kind].mean(color))
+                    kept = table.gains.kept(Mixture.of(gain, len(color)), LOBES[kind].mean(color, edge))
                     shares += [share * kept for share in shares]
                 parts += [Part(share, *kernel) for share, kernel in zip(shares, cache[key], strict=True)]
             curves, dims, taken, share = self._base(group, means)
@@ -291,12 +292,13 @@ class _Group:
 
 @dataclass(frozen=True, eq=False)
 class _Means:
-    """Means over elements, float64: diffuse (ne, 3), albedo of the base; of every slot weight (ne,), and color (ne, 3), by the weight; of
-    every layer of coats dims (ne, 1 or 3), `coat.Layer.share`."""
+    """Means over elements, float64: diffuse (ne, 3), albedo of the base; of every slot weight (ne,), and by the weight color (ne, 3) and
+    edge, (ne, 3) or None; of every layer of coats dims (ne, 1 or 3), `coat.Layer.share`."""
 
     diffuse: np.ndarray
     weight: list[np.ndarray]
     color: list[np.ndarray]
+    edge: list[np.ndarray | None]
     dims: list[np.ndarray]
 
 
@@ -309,6 +311,7 @@ def _mean_surfaces(elements: Elements, table: bsdf.BsdfTable) -> tuple[_Means, l
     even = all(x.is_even for m in scene.materials for x in m.lobes)
     steps = [0.25] if even else (np.arange(COLOR_GRID) + 0.5) / COLOR_GRID
     diffuse, weight, color, dims = np.zeros((elements.count, 3)), [0.0] * table.count, [0.0] * table.count, {}
+    edge: list[np.ndarray | None] = [None] * table.count
     shapes = np.zeros((elements.count, table.count, 2))
     index = np.arange(elements.count)
     for a in steps:
@@ -321,6 +324,8 @@ def _mean_surfaces(elements: Elements, table: bsdf.BsdfTable) -> tuple[_Means, l
             for k, slot in enumerate(lobes.slots):
                 weight[k] = weight[k] + slot.weight.astype(float) / len(steps) ** 2
                 color[k] = color[k] + slot.color * slot.weight[:, None].astype(float) / len(steps) ** 2
+                if slot.edge is not None:
+                    edge[k] = (0.0 if edge[k] is None else edge[k]) + slot.edge * slot.weight[:, None].astype(float) / len(steps) ** 2
                 shapes[:, k] += np.stack([np.sqrt(slot.alpha), slot.ior], axis=1) / len(steps) ** 2
     own = np.asarray(scene.material)[surface.triangle]
     groups = []
@@ -333,7 +338,8 @@ def _mean_surfaces(elements: Elements, table: bsdf.BsdfTable) -> tuple[_Means, l
             kinds = [(int(s.kind[e]), float(s.alpha[e]), float(s.ior[e]), int(s.gain.rows[0][e]), bool(s.many[e])) for s in lobes.slots]
             groups.append(_Group(int(material), which, kinds, lobes.coating.take(which[:1])))
     color = [c / np.maximum(w, 1e-20)[:, None] for c, w in zip(color, weight, strict=True)]
-    return _Means(diffuse, weight, color, [dims[k] for k in sorted(dims)]), groups
+    edge = [e if e is None else e / np.maximum(w, 1e-20)[:, None] for e, w in zip(edge, weight, strict=True)]
+    return _Means(diffuse, weight, color, edge, [dims[k] for k in sorted(dims)]), groups
 
 
 def _shaped(which: np.ndarray, material: int, shapes: np.ndarray, lobes: bsdf.Lobes, table: bsdf.BsdfTable) -> list[_Group]:

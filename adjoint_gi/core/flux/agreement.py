@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.settings import NO_LIMIT
+from ..base.text import plain
 from ..bsdf.table import BsdfTable
 from ..lights.emission import Emission
 from ..method.registry import MethodSpec
@@ -342,9 +343,9 @@ def _lines(differences: Sequence[Difference], methods: dict[str, Measured]) -> t
         reasons += [(m, f"{m.label} replaces lobes ({'; '.join(m.notes)})") for m in (a, b) if m.notes]
         for m, reason in reasons:
             other = b if m is a else a
-            stated.setdefault(reason, []).append(f"{100 * abs(d.relative):.3g} % from {other.label} on {d.object}")
+            stated.setdefault(reason, []).append(f"{plain(100 * abs(d.relative), 3)} % from {other.label} on {d.object}")
         if not reasons:
-            loud.append(f"DISAGREE: {d.first} and {d.second} differ by {100 * abs(d.relative):.3g} % on {d.object}, {_chance(d.p)}.")
+            loud.append(f"DISAGREE: {d.first} and {d.second} differ by {plain(100 * abs(d.relative), 3)} % on {d.object}, {_chance(d.p)}.")
     dim = sorted((d for d in differences if d.unknown), key=lambda d: -abs(d.relative))
     if not loud and differences:
         fine = sum(not d.significant and not d.unknown for d in differences)
@@ -354,7 +355,7 @@ def _lines(differences: Sequence[Difference], methods: dict[str, Measured]) -> t
             share = f"{fine} of {len(differences)} pairs"
             loud.append(f"Agree: {share} differ by no more than noise and their stated allowances{untold}{rest}.")
     if dim:
-        parts = [f"{d.first} and {d.second} differ by {100 * abs(d.relative):.3g} % on {d.object} ({d.unknown})" for d in dim]
+        parts = [f"{d.first} and {d.second} differ by {plain(100 * abs(d.relative), 3)} % on {d.object} ({d.unknown})" for d in dim]
         loud.append(f"Too few repeats to tell: {'; '.join(parts)}. Choose at least {FEW + 1} repeats.")
     known = [f"Differs as stated: {reason}: {', '.join(parts)}." for reason, parts in stated.items()]
     return tuple(loud + known)

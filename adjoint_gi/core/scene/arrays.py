@@ -95,7 +95,7 @@ class Color:
 
 
 Scalar = float | Color  # a number that is the same everywhere, or a colour over the surface of which the first channel counts
-WHITE_AT_GRAZING = frozenset({"metallic"})  # kinds of lobes that reflect even where their colour is black
+WHITE_AT_GRAZING = frozenset({"metallic", "tinted metallic"})  # kinds of lobes that reflect even where their colour is black
 
 
 def constant_of(x: Scalar) -> float:
@@ -107,13 +107,14 @@ def constant_of(x: Scalar) -> float:
 class Lobe:
     """One term of a BSDF (or an emission): `weight` times what a surface of `color` scatters (or emits).
 
-    kinds: diffuse, rough diffuse, emission; metallic, specular (a dielectric coat), glossy, glass, refraction, transparent, and
-    dielectric, which is what glass reflects without what it passes.
+    kinds: diffuse, rough diffuse, emission; metallic, tinted metallic, specular (a dielectric coat), glossy, glass, refraction,
+    transparent, and dielectric, which is what glass reflects without what it passes.
     color: of the surface itself, of which Fresnel's terms and what bounces again between microfacets are computed.
     weight: the share that it has in a mix, from 0 to 1; one that varies is grey.
     roughness (0 to 1) and ior may vary over the surface, too.
     multiscatter: light that bounces more than once between microfacets is kept (metallic, glossy, glass and rough diffuse).
     stack: a coat lies over the diffuse and rough diffuse lobes of its own stack, whose weight it shares, and over no others.
+    edge: by what a tinted metal's reflectance is multiplied at 82 degrees, 0 to 1; other kinds have none.
     """
 
     kind: str
@@ -123,6 +124,7 @@ class Lobe:
     multiscatter: bool = False
     weight: Scalar = 1.0
     stack: int = 0
+    edge: Color = Color.of(1.0)
 
     @property
     def share(self) -> Color:
@@ -138,7 +140,7 @@ class Lobe:
     @property
     def is_even(self) -> bool:
         """Whether it is the same everywhere."""
-        return self.share.is_constant and not self.varies
+        return self.share.is_constant and self.edge.is_constant and not self.varies
 
     @property
     def varies(self) -> bool:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.errors import Notice
+from ..base.text import plain
 from ..lights.emission import Emission
 from ..scene.topology import oriented_pieces, weld
 from ..scene.world import World, once_a_world
@@ -119,7 +120,7 @@ def notices(world: World, baked: set[int], particles: int = PARTICLES) -> list[N
     found = measure(world, particles)
     out = []
     if TIGHT <= found.escaped < LEAK:
-        reason = f"{100 * found.escaped:.2g} % of the light leaves the scene, which is nearly closed: it leaks through gaps"
+        reason = f"{plain(100 * found.escaped)} % of the light leaves the scene, which is nearly closed: it leaks through gaps"
         out.append(Notice("Scene", reason, "Close the gaps, unless they are meant"))
     for index in np.flatnonzero((found.lost > STAKE) & (found.arrivals >= MIN_ARRIVALS)):
         if index in baked:

@@ -13,10 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.errors import Notice
+from ..base.text import plain
+from ..bsdf.lobes import LOBES
 from ..lights.base import LampKind, ParticleSource
 from ..lights.emission import Emission
 from ..lights.emitters import Emitters
 from ..lights.mesh import MeshLights
+from ..scene.world import World
 from .mirror_chains import Chains
 
 PARTICLES = 1 << 13
@@ -24,28 +27,30 @@ DEPTH = 8  # surfaces on the way that are followed
 LEAST = 0.01  # share of the light of these lamps below which nothing is said
 FEW = 1.0  # paths of one receiver that meet a lamp, on average, from which the noise shows that it is found
 NAMES = 3
+_KINDS = {kind.name: kind for kind in LOBES}
 REMEDY = "Use Particle Tracing or Progressive Multi-Pass"
 
 
-def notices(emitters: Emitters, paths: float = math.inf, sized: bool = False) -> tuple[Notice, ...]:
+def notices(emitters: Emitters, paths: float = math.inf, sized: bool = False, measure: str = "radiance") -> tuple[Notice, ...]:
     """Up to two notices, of lamps without and with a size: the share of the light that is missing, the lamps, the surfaces it comes by.
 
     paths: from one receiver, over which lamps with a size count as found where at least `FEW` meet them. sized: lamps with a size are
-    not found at all, and named with the others.
+    not found at all, and named with the others. measure: what is asked for; irradiance is what black surfaces get
+    like others.
     """
     world, lamps = emitters.world, emitters.lamps
     chains = Chains(world, DEPTH)
     if not chains.any:
         return ()
     points = [lamps.source(i) for i in range(lamps.count) if sized or not lamps.sized[i]]
-    unmet = chance_light(emitters, chains, points)
+    unmet = chance_light(emitters, chains, points, irradiance=measure == "irradiance")
     out = []
     if unmet is not None and unmet.share >= LEAST:
         what = "is not found by this method" if sized else "is missing: a lamp without size cannot be met there"
         out.append(unmet.notice(what, REMEDY + ("" if sized else ", or give the lamp a size")))
     if paths < math.inf and not sized:
         bodies = [lamps.source(i) for i in range(lamps.count) if lamps.sized[i]] + MeshLights(world).sources()
-        rare = chance_light(emitters, chains, bodies, paths)
+        rare = chance_light(emitters, chains, bodies, paths, measure == "irradiance")
         if rare is not None and rare.share >= LEAST:
             what = f"is found by luck alone: of {paths:,.0f} paths from a place {paths * rare.chance:.1g} meet the light there"
             out.append(rare.notice(what, REMEDY + ", or make the light larger"))
@@ -64,12 +69,17 @@ class ChanceLight:
 
     def notice(self, what: str, remedy: str) -> Notice:
         """Says so of the first lamps and objects."""
-        reason = f"gives light by way of {_listed(self.via)} that {what} ({100 * self.share:.2g} % of what it gives)"
+        reason = f"gives light by way of {_listed(self.via)} that {what} ({plain(100 * self.share)} % of what it gives)"
         return Notice(_listed(self.lamps), reason, remedy, names=tuple(self.lamps))
 
 
-def chance_light(emitters: Emitters, chains: Chains, sources: list[ParticleSource], paths: float = 0.0) -> ChanceLight | None:
-    """Light of `sources` that only rays by the cosine find, and fewer than `FEW` of `paths` of them; None where there is none."""
+def chance_light(
+    emitters: Emitters, chains: Chains, sources: list[ParticleSource], paths: float = 0.0, irradiance: bool = False
+) -> ChanceLight | None:
+    """Light of `sources` that only rays by the cosine find, and fewer than `FEW` of `paths` of them; None where there is none.
+
+    What counts is light that the diffuse lobe of a surface gets; with `irradiance` what its surface gets, whatever it makes of that.
+    """
     sources = [s for s in sources if s.power > 0]
     if not sources:
         return None
@@ -79,7 +89,7 @@ def chance_light(emitters: Emitters, chains: Chains, sources: list[ParticleSourc
     p = emission.draw(PARTICLES, rng)
     power, owner = p.weight.sum(axis=1), np.asarray(world.scene.object)
     first, missing, met_by = np.zeros(PARTICLES, np.int64), np.zeros(PARTICLES), np.zeros(PARTICLES)
-    entered = np.zeros(len(sources))
+    entered, ends = np.zeros(len(sources)), _opaque(world)
     last, flown = p.origin.astype(np.float64), np.zeros(PARTICLES)
     for met in chains.follow(p.origin, p.direction, p.kind, rng, p.dark):
         s, row = met.surface, met.row
@@ -90,8 +100,11 @@ def chance_light(emitters: Emitters, chains: Chains, sources: list[ParticleSourc
             first[row] = owner[s.triangle]
             entered = np.bincount(p.light[row], power[row], len(sources))
             continue
-        scatters = chains.diffuse(s.triangle, s.u, s.v).max(axis=1) > 0
-        found = (p.weight[row] * met.weight * met.share).sum(axis=1) * (met.clear & scatters)
+        counts = chains.diffuse(s.triangle, s.u, s.v).max(axis=1) > 0
+        if irradiance:
+            counts |= ends[s.triangle]
+        share = np.ones_like(met.share) if irradiance else met.share
+        found = (p.weight[row] * met.weight * share).sum(axis=1) * (met.clear & counts)
         missing[row] += found
         # The chance of a ray by the cosine, from here back along the same surfaces, to meet the lamp in its image.
         cosine = np.abs(np.einsum("ij,ij->i", step, s.ns)) / np.maximum(length, 1e-12)
@@ -130,6 +143,13 @@ def solid_angles(sources: list[ParticleSource], light: np.ndarray, at: np.ndarra
             lit = cells.power.sum() ** 2 / max(float((cells.power**2 / np.maximum(area, 1e-300)).sum()), 1e-300)
             out[rows] = 0.5 * lit / np.maximum(distance[rows], 1e-12) ** 2
     return np.minimum(out, 2 * np.pi)
+
+
+def _opaque(world: World) -> np.ndarray:
+    """(nt,) bool: triangles of what is black, diffuse or below a coat: it neither passes light nor is a mirror itself."""
+    lobes = ([x for x in m.lobes if not x.is_black] for m in world.scene.materials)
+    ends = [all(kind.is_coat or kind.under_coat for x in own if (kind := _KINDS.get(x.kind))) for own in lobes]
+    return np.array(ends or [False])[np.asarray(world.scene.material, np.int64)]
 
 
 def _listed(names: list[str]) -> str:
