@@ -8,9 +8,8 @@ import bpy
 from ..adjoint_gi.bridge.baking import check, jobs, textures
 from ..adjoint_gi.bridge.host import background
 from ..adjoint_gi.bridge.props.properties import request_of
-from ..adjoint_gi.bridge.props.records import AdjointError
+from ..adjoint_gi.bridge.props.records import AdjointError, plain
 from ..adjoint_gi.bridge.props.request import BakeRequest
-from ..adjoint_gi.core.base.text import plain
 from .background import Guarded, Starts, Stops, report
 
 

@@ -8,7 +8,7 @@ import bpy
 from ..adjoint_gi.bridge.comparison import records as compare_records
 from ..adjoint_gi.bridge.comparison.job import COMPARISONS
 from ..adjoint_gi.bridge.host.background import busy, elsewhere
-from ..adjoint_gi.core.base.text import plain
+from ..adjoint_gi.bridge.props.records import plain
 from . import text
 from .base import Tab
 from .draw import boxed, field, running

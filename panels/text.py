@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 import blf
 import bpy
 
-from ..adjoint_gi.core.base.text import plain
+from ..adjoint_gi.bridge.props.records import plain
 
 FONT = 0
 

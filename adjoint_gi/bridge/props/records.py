@@ -9,11 +9,11 @@ from collections.abc import Iterable
 import bpy
 
 from ...core.base.errors import AdjointError, Notice
-from ...core.base.text import json_text
+from ...core.base.text import json_text, plain
 from ...core.flux.density import Given
 from ...core.method.solution import Solution
 
-__all__ = ["AdjointError", "Notice", "clear", "store"]  # operators and panels may not import the core
+__all__ = ["AdjointError", "Notice", "clear", "plain", "store"]  # operators and panels may not import the core
 
 ROWS = 100  # objects of which is kept what they were given
 SEVERITIES = (("info", "Info", "", 0), ("warning", "Warning", "", 1), ("error", "Error", "", 2))
