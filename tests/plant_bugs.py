@@ -2477,6 +2477,20 @@ BUGS = (
         "tests/blender/test_uv_edits.py -k duplicate_and_its",
     ),
     Bug(
+        "what stands for changed faces is looked for as it was before subdivision",
+        "adjoint_gi/bridge/results/lightmap_uv.py",
+        "return layer.uv[0].vector[0] > 0.5 * carried.NO_PLACE[0]",
+        "return tuple(layer.uv[0].vector) != carried.NO_PLACE[:2]",
+        "tests/blender/test_uv_edits.py -k faces_are_noticed",
+    ),
+    Bug(
+        "an edited node group goes on carrying UVs",
+        "adjoint_gi/bridge/results/carried.py",
+        "tree.library is None and stored.read(tree, NODES) == _print(tree)",
+        "tree.library is None",
+        "tests/blender/test_uv_edits.py -k users_have_changed",
+    ),
+    Bug(
         "nobody says that a duplicate's UVs are made anew",
         "adjoint_gi/bridge/baking/sides.py",
         '(TWICE if obj in twice else "")',

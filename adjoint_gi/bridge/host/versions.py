@@ -16,6 +16,11 @@ if "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties:
     FOLDER.add("PATH_SUPPORTS_BLEND_RELATIVE")
 
 
+def version_text() -> str:
+    """Blender's version, as what is stored by one may be another thing after the next has loaded it."""
+    return bpy.app.version_string
+
+
 def working_space() -> str:
     """Name of the file's scene-linear space; always Linear Rec.709 before Blender 5.0."""
     colorspace = getattr(bpy.data, "colorspace", None)

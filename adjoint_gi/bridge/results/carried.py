@@ -15,6 +15,8 @@ and has other levels in renders than in the viewport.
 from __future__ import annotations
 
 import contextlib
+import functools
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -22,12 +24,12 @@ import bpy
 import numpy as np
 
 from ..host.meshes import copied, corner_vertices, positions
-from ..host.versions import modifier_input, set_modifier_input
+from ..host.versions import modifier_input, set_modifier_input, version_text
 from . import links as targets
 from . import stored
 from .attribute import KEEPS_TOPOLOGY
 from .real import remove_objects
-from .stored import HOLDER, TREE
+from .stored import HOLDER, NODES, TREE
 
 KIND = "carry"  # value of our custom property of node groups that says which group this is
 GROUP = "Adjoint GI Lightmap UV"
@@ -94,6 +96,22 @@ def belongs_to(obj: bpy.types.Object) -> bool:
     return not any(holder(other) == own for other in bpy.data.objects if other != obj and other.type == "MESH")
 
 
+def fault(obj: bpy.types.Object) -> str:
+    """What users have done to our modifier of `obj` so that it does not carry its layer, as words after the object's name, or nothing.
+
+    `carry` puts all of that right.
+    """
+    modifier = carrier(obj)
+    if modifier is None:
+        return ""
+    if not modifier.show_viewport:
+        return f'has lightmap UVs whose modifier "{modifier.name}" is off in the viewport, which is turned on'
+    made = stored.read(modifier.node_group, NODES) or ""
+    if made.split("/")[0] == version_text() and made != _print(modifier.node_group):
+        return f'has lightmap UVs whose node group "{modifier.node_group.name}" was edited, which is put right'
+    return "has lost the hidden object that held its lightmap UVs" if holder(obj) is None else ""
+
+
 @contextlib.contextmanager
 def stage(objects: Sequence[bpy.types.Object], view_layer: bpy.types.ViewLayer) -> Iterator[None]:
     """The evaluated meshes of `objects` are, for a while, those that our modifier gets: without subdivision that comes after it."""
@@ -140,10 +158,14 @@ def carry(obj: bpy.types.Object, name: str, held: CarriedUvs) -> None:
     if modifier is None:
         modifier = obj.modifiers.new(GROUP, "NODES")
         modifier.show_expanded = False
-        modifier.node_group = node_group()
+    before, tree = modifier.node_group, node_group()
+    modifier.show_viewport = modifier.show_render = True
+    modifier.node_group = tree
     set_modifier_input(modifier, "UVs", own)
     set_modifier_input(modifier, "Name", name)
-    modifier.node_group = modifier.node_group  # only so the depsgraph learns of another object
+    modifier.node_group = tree  # only so the depsgraph learns of another object
+    if before is not None and before.users == 0:
+        bpy.data.node_groups.remove(before)
     _place(obj, modifier)
     obj.update_tag()
     if old is not None and old.users == 0:
@@ -185,9 +207,10 @@ def drop_orphans() -> None:
 
 
 def node_group() -> bpy.types.NodeTree:
-    """Our node group, made once for each file: see the head of this file."""
+    """Our node group, made once for each file, and again where users, another version of Blender or of ours made it another one: see
+    the head of this file."""
     for tree in bpy.data.node_groups:
-        if stored.read(tree, TREE) == KIND and tree.library is None:
+        if stored.read(tree, TREE) == KIND and tree.library is None and stored.read(tree, NODES) == _print(tree):
             return tree
     tree = bpy.data.node_groups.new(GROUP, "GeometryNodeTree")
     tree[TREE] = KIND
@@ -229,7 +252,28 @@ def node_group() -> bpy.types.NodeTree:
     tree.links.new(start.outputs["Name"], store.inputs["Name"])
     tree.links.new(store.outputs["Geometry"], end.inputs["Geometry"])
     _warn(tree, changed)
+    tree[NODES] = _print(tree)
     return tree
+
+
+def _print(tree: bpy.types.NodeTree) -> str:
+    """The version of Blender, and a checksum of what `tree` does: its sockets, nodes, links, and values where nothing is linked."""
+    found = [f"{item.item_type} {item.name} {getattr(item, 'in_out', '')}" for item in tree.interface.items_tree]
+    for node in tree.nodes:
+        values = [getattr(socket, "default_value", None) for socket in node.inputs if not socket.is_linked]
+        plain = [x if isinstance(x, float | int | str | None) else tuple(x) if hasattr(x, "__len__") else "" for x in values]
+        found.append(f"{node.name} {node.bl_idname} {node.mute} {[getattr(node, name) for name in _choices(node.bl_idname)]} {plain}")
+    for link in tree.links:
+        ends = [f"{socket.node.name} {socket.identifier}" for socket in (link.from_socket, link.to_socket)]
+        found.append(f"{ends} {link.is_muted}")
+    return f"{version_text()}/{zlib.crc32(repr(sorted(found)).encode()):08x}"
+
+
+@functools.cache
+def _choices(kind: str) -> tuple[str, ...]:
+    """Names of what is chosen on nodes of this kind; to ask Blender for them takes longer than all else of `_print`."""
+    own, all_have = getattr(bpy.types, kind).bl_rna.properties, bpy.types.Node.bl_rna.properties
+    return tuple(x.identifier for x in own if x.type in ("ENUM", "BOOLEAN") and x.identifier not in all_have and not x.is_readonly)
 
 
 def _nearest(tree: bpy.types.NodeTree, held: bpy.types.NodeSocket) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:

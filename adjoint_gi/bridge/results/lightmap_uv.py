@@ -84,6 +84,8 @@ def outdated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> str:
         return "has got other faces since its lightmap UVs were made" if (stored.read(obj.data, FACES) or now) != now else ""
     if not carried.must_carry(obj) and _room(obj):
         return "has lost the modifiers that its lightmap UVs were made for"
+    if fault := carried.fault(obj):
+        return fault
     if not carried.belongs_to(obj):
         return "is a copy and has the lightmap UVs of its original"
     lost = carried.out_of_place(obj) or not _has_place(obj.evaluated_get(depsgraph).data, carried.layer_name(obj))
@@ -362,13 +364,14 @@ def _has_place(mesh: bpy.types.Mesh, name: str) -> bool:
     layer = mesh.uv_layers.get(name)
     if layer is None or not len(mesh.loops):
         return False
-    return tuple(layer.uv[0].vector) != carried.NO_PLACE[:2]
+    return layer.uv[0].vector[0] > 0.5 * carried.NO_PLACE[0]  # subdivision behind our modifier rounds
 
 
 def _snapshot(obj: bpy.types.Object) -> Callable[[], None]:
     """What puts our layer of `obj` back as it is now."""
     name, before = carried.layer_name(obj), carried.carried(obj)
-    layer = _on_mesh(obj.data)
+    modifier, layer = carried.carrier(obj), _on_mesh(obj.data)
+    on = (modifier.show_viewport, modifier.show_render) if modifier is not None else ()
     uv = layer_values(obj, layer) if layer else None
     beside, on_mesh = _marks(marked(obj)), _marks(obj.data)  # whatever they hold: what is damaged is put back, too
 
@@ -382,6 +385,7 @@ def _snapshot(obj: bpy.types.Object) -> Callable[[], None]:
         _remove_from_mesh(obj)
         if before is not None:
             carried.carry(obj, name, before)
+            carried.carrier(obj).show_viewport, carried.carrier(obj).show_render = on
         elif uv is not None:
             _write_layer(obj, layer, uv)
         for owner, values in ((marked(obj), beside), (obj.data, on_mesh)):

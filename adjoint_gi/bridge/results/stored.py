@@ -33,6 +33,7 @@ ABOUT = "adjoint_gi_about"  # of images and meshes: JSON that describes the resu
 OURS = "adjoint_gi_material"  # of materials of a preview
 ORIGINAL = "adjoint_gi_original"  # of materials of a preview: the one of the user that each stands for, None when that was deleted
 TREE = MADE_BY_US  # of node groups made by us: what for
+NODES = "adjoint_gi_nodes"  # of such node groups: checksum of their nodes as they were made
 
 COLLECTIONS = ("objects", "meshes", "materials", "images", "node_groups", "collections")  # of datablocks that may carry them
 
@@ -194,4 +195,5 @@ PROPERTIES: dict[str, Callable[[Any], bool]] = {
     OURS: _is_on,
     ORIGINAL: lambda value: isinstance(value, bpy.types.Material),
     TREE: _is_text,
+    NODES: _is_text,
 }
