@@ -98,6 +98,22 @@ def test_own_filter_steps_in_where_the_compositor_fails_and_says_so(registered, 
     assert np.abs(np.diff(clean[..., 0], axis=0)).mean() < 0.7 * np.abs(np.diff(raw[..., 0], axis=0)).mean()
 
 
+def test_what_the_compositor_has_not_written_whole_is_not_read(registered, corner, monkeypatch):
+    """As on a full disk, where Blender says nothing, and crashes reading what there is: our own filter steps in, nothing is lost."""
+    real = compositor._read
+
+    def cut(path, width, height):
+        data = path.read_bytes()
+        path.write_bytes(data[: len(data) // 2])
+        return real(path, width, height)
+
+    monkeypatch.setattr(compositor, "_read", cut)
+    request = baking.request(values={"samples": 16}, resolution=SIDE, quantity="indirect", objects=("Floor",), margin=0, denoise=True)
+    made = baking.bake(request)
+    assert any("is not whole: is that disk full?" in n.reason and "filter of Adjoint GI's own" in n.reason for n in made.notices)
+    assert read_pixels(linked_image(corner, "indirect")).mean() > 0
+
+
 def test_methods_without_noise_and_running_bakes_are_left_alone(registered, corner, monkeypatch):
     monkeypatch.setattr(denoising.compositor, "denoise", lambda *_: pytest.fail("was asked to denoise"))
     baking.bake(baking.request("local_illumination", resolution=8, objects=("Floor",), denoise=True))

@@ -16,6 +16,7 @@ from adjgi.adjoint_gi.bridge.extract.depsgraph import extract
 from adjgi.adjoint_gi.bridge.extract.image_header import sequence_file
 from adjgi.adjoint_gi.bridge.host.preparation import finish_stages
 from adjgi.adjoint_gi.core.base.steps import finish
+from adjgi.adjoint_gi.core.images.exr import write_exr
 from adjgi.adjoint_gi.core.images.headers import header_of_bytes
 from adjgi.tests.core import test_headers as headers
 from adjgi.tests.cycles_patch import render_patch, shader_material, white_plane
@@ -93,6 +94,22 @@ def test_layers_count_and_unknown_formats_are_not_decoded(tmp_path, monkeypatch)
     assert not arrays.textures and not any(i.has_data for i in bpy.data.images)
     assert any("a.exr" in t and "25.3 kB when all of its layers are read" in t for t in told)
     assert any("b.tif" in t and "cannot be read safely" in t for t in told)
+
+
+@pytest.mark.parametrize("packed", (False, True))
+@pytest.mark.parametrize("kept", (0.5, 0.99))
+def test_an_exr_that_was_cut_off_is_named_and_not_opened(tmp_path, packed, kept):
+    """Blender 5.0 crashes when it is asked for its size."""
+    whole = write_exr(tmp_path / "whole.exr", np.random.default_rng(0).random((40, 40, 4)).astype(np.float32), folder=tmp_path)
+    data = whole.read_bytes()
+    (tmp_path / "cut.exr").write_bytes(data[: int(kept * len(data))])
+    image = bpy.data.images.load(str(tmp_path / "cut.exr"))
+    if packed:
+        image.pack()
+    emitter(image)
+    arrays, told = notices()
+    assert not arrays.textures and not image.has_data
+    assert any("cut.exr" in t and "cannot be read safely, for " in t and "grey 0.8" in t for t in told), told
 
 
 def test_generated_images_are_checked_before_they_are_made():

@@ -30,7 +30,7 @@ def stored_header(image: bpy.types.Image) -> Header | None:
         if not headers:
             raise
     known = [h for h in headers if h is not None]
-    return max(known, key=lambda h: h.bytes) if known and len(known) == len(headers) else None
+    return max(known, key=lambda h: (bool(h.danger), h.bytes)) if known and len(known) == len(headers) else None
 
 
 def sequence_file(image: bpy.types.Image, frame: int) -> str:

@@ -283,7 +283,11 @@ class Images:
             text = f"takes {size_text(header.bytes)} when all of its layers are read, more than {size_text(LARGEST_DECODED)}; {GREY}"
             self._notices.add(name, text, "Save what is used of it as an image of its own")
             return False
-        return self._fits(name, (header.width, header.height))
+        if not self._fits(name, (header.width, header.height)):
+            return False
+        if header.danger:
+            self._notices.add(name, f"cannot be read safely, for {header.danger}; {GREY}", "Save it anew, or find a whole copy")
+        return not header.danger
 
     def _fits(self, name: str, size: tuple[int, int]) -> bool:
         """Whether an image of this size may be read at all; a notice if not."""

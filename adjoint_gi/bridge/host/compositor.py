@@ -17,6 +17,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ...core.images.headers import read_header
 from . import files
 
 NAME = "Adjoint GI Denoise"
@@ -107,7 +108,11 @@ def _image(values: np.ndarray) -> bpy.types.Image:
 
 
 def _read(path: Path, width: int, height: int) -> np.ndarray:
-    """(height, width, 3) float32 of the file."""
+    """(height, width, 3) float32 of the file. On a full disk Blender writes a part of it, says nothing, and crashes reading that."""
+    with open(path, "rb") as file:
+        header = read_header(file)
+    if header is None or header.danger:
+        raise OSError(f"what it wrote to {path.parent.parent} is not whole: is that disk full?")
     image = bpy.data.images.load(str(path))
     image.colorspace_settings.is_data = True
     if tuple(image.size) != (width, height):

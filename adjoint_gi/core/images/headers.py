@@ -1,4 +1,4 @@
-"""Sizes of pictures from the headers of their files: what decoding would need, known before memory is taken.
+"""Sizes of pictures from the headers of their files: what decoding would need, known before memory is taken; what crashes Blender.
 
 Every format that Blender reads as an image. A header is walked as its format says, field by field, so that a size that stands in a
 comment or an attribute is not taken for that of the picture; where a file names several sizes, the largest counts. What cannot be read
@@ -11,20 +11,29 @@ import io
 import re
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import BinaryIO
 
+import numpy as np
+
+from . import exr_chunks
+
 MOST_ITEMS = 4096  # attributes, segments, directories of one file; more is no picture
+MOST_ROWS = 1 << 20  # of all channels of an Iris file
 LONGEST_TEXT = 1 << 16  # bytes of the header of a Radiance file
 
 
 @dataclass(frozen=True)
 class Header:
-    """Size of a picture, and the bytes that it takes decoded: four channels of bytes, or of float32, or all of its layers."""
+    """Size of a picture, and the bytes that it takes decoded: four channels of bytes, or of float32, or all of its layers.
+
+    danger  what Blender may crash over, such as pixels that are stated and missing
+    """
 
     width: int
     height: int
     bytes: int
+    danger: str = ""
 
 
 class _Unknown(ValueError):
@@ -41,7 +50,7 @@ def read_header(file: BinaryIO) -> Header | None:
         except (_Unknown, struct.error, ValueError, OverflowError, OSError):
             continue
     # One format has no signature, so a file may look like two.
-    return max(found, key=lambda h: h.bytes, default=None)
+    return max(found, key=lambda h: (bool(h.danger), h.bytes), default=None)
 
 
 def header_of_bytes(data: bytes) -> Header | None:
@@ -122,10 +131,26 @@ def _bmp(file: BinaryIO) -> Header:
     return _header(width, abs(height))
 
 
+_IRIS_TABLES = 512  # where the tables of a compressed file begin: of places, then of sizes of all rows of all channels
+
+
 def _iris(file: BinaryIO) -> Header:
     _expect(file, b"\x01\xda")
-    _, depth, _, width, height, channels = _take(file, ">BBHHHH")
-    return _header(width, height, channels, depth)
+    packed, depth, dimensions, width, height, channels = _take(file, ">BBHHHH")
+    header = _header(width, height, channels, depth)
+    if not packed:
+        return header
+    rows = height if dimensions > 1 else 1
+    count = rows * (channels if dimensions > 2 else 1)
+    if count > MOST_ROWS:
+        raise _Unknown
+    file.seek(_IRIS_TABLES)
+    data = file.read(8 * count)
+    if len(data) < 8 * count:
+        return replace(header, danger="its tables of rows are cut off")
+    tables = np.frombuffer(data, ">u4").astype(np.int64)
+    whole = (tables[:count] >= _IRIS_TABLES + 8 * count) & (tables[:count] + tables[count:] <= file.seek(0, io.SEEK_END))
+    return header if whole.all() else replace(header, danger="rows are missing")
 
 
 def _targa(file: BinaryIO) -> Header:
@@ -149,11 +174,18 @@ def _cineon(file: BinaryIO) -> Header:
     return _header(max(w for w, _ in sizes), max(h for _, h in sizes), channels, 2)
 
 
+_DPX_HEADERS = 2048  # bytes before the user's
+
+
 def _dpx(file: BinaryIO) -> Header:
     order = ">" if _expect(file, b"SDPX", b"XPDS") == b"SDPX" else "<"
+    file.seek(32)
+    (user,) = _take(file, order + "I")
     file.seek(770)
     elements, width, height = _take(file, order + "HII")
-    return _header(width, height, 4 * max(1, elements), 2)
+    # Blender's reader takes memory for as many bytes of the user's as are stated, and crashes where they are over 2 GB.
+    cut = user != 0xFFFFFFFF and user > max(0, file.seek(0, io.SEEK_END) - _DPX_HEADERS)
+    return replace(_header(width, height, 4 * max(1, elements), 2), danger="data of its user's are cut off" if cut else "")
 
 
 def _radiance(file: BinaryIO) -> Header:
@@ -337,55 +369,93 @@ def _exr(file: BinaryIO) -> Header:
     (version,) = _take(file, "<I")
     if version & 0xFF != 2:
         raise _Unknown
-    several = bool(version & 0x1000)
-    parts: list[Header] = []
-    while (part := _exr_part(file)) is not None:
-        parts.append(part)
+    several = bool(version & _EXR_SEVERAL)
+    headers: list[Header] = []
+    parts: list[exr_chunks.PartHeader] = []
+    while (found := _exr_part(file, version)) is not None:
+        headers.append(found[0])
+        parts.append(found[1])
         if not several:
             break
         if len(parts) > MOST_ITEMS:
             raise _Unknown
-    whole = _largest(parts)
-    return Header(whole.width, whole.height, sum(p.bytes for p in parts))
+    whole = _largest(headers)
+    danger = exr_chunks.danger(file, parts, several)
+    return Header(whole.width, whole.height, sum(h.bytes for h in headers), danger)
 
 
-def _exr_part(file: BinaryIO) -> Header | None:
+_EXR_TILED, _EXR_DEEP, _EXR_SEVERAL = 0x200, 0x800, 0x1000  # flags of the version
+_EXR_KINDS = {b"scanlineimage": (False, False), b"tiledimage": (True, False), b"deepscanline": (False, True), b"deeptile": (True, True)}
+_EXR_LAYOUTS = {b"box2i": "<iiii", b"compression": "B", b"int": "<i", b"tiledesc": "<IIB", b"lineOrder": "B", b"float": "<f", b"v2f": "<ff"}
+# What every header must have. Blender 5.0 ends itself over some that have not.
+_EXR_NEEDED = {
+    *((b"channels", b"chlist"), (b"compression", b"compression"), (b"dataWindow", b"box2i"), (b"displayWindow", b"box2i")),
+    *((b"lineOrder", b"lineOrder"), (b"pixelAspectRatio", b"float"), (b"screenWindowCenter", b"v2f"), (b"screenWindowWidth", b"float")),
+}
+
+
+def _exr_part(file: BinaryIO, version: int) -> tuple[Header, exr_chunks.PartHeader] | None:
     """Of the attributes up to an empty name; None where there are none, which ends a file of several parts."""
-    sizes: list[tuple[int, int]] = []
-    tile, channels, first = (0, 0), 0, True
+    found: dict[tuple[bytes, bytes], list[tuple[int, int]]] = {}  # where the values of each name and kind begin and end
     for _ in range(MOST_ITEMS):
         name = _exr_text(file)
         if not name:
-            if first:
-                return None
-            if not sizes or not channels:
-                raise _Unknown
-            return _tiled((max(w for w, _ in sizes), max(h for _, h in sizes)), tile, channels, 4)
-        first = False
+            break
         kind, (length,) = _exr_text(file), _take(file, "<i")
-        if length < 0:
+        if length < 0 or (kind in _EXR_LAYOUTS and length != struct.calcsize(_EXR_LAYOUTS[kind])):
             raise _Unknown
-        after = file.tell() + length
-        if name in (b"dataWindow", b"displayWindow") and kind == b"box2i":
-            x0, y0, x1, y1 = _take(file, "<iiii")
-            sizes.append((x1 - x0 + 1, y1 - y0 + 1))
-        elif name == b"tiles" and kind == b"tiledesc":
-            tile = _take(file, "<II")
-        elif name == b"channels" and kind == b"chlist":
-            channels += _exr_channels(file, after)
-        file.seek(after)
-    raise _Unknown
+        begin = file.tell()
+        found.setdefault((name, kind), []).append((begin, begin + length))
+        file.seek(begin + length)
+    else:
+        raise _Unknown
+    if not found:
+        return None
+    if not found.keys() >= _EXR_NEEDED:
+        raise _Unknown
+    behind = file.tell()
+
+    def values(name: bytes, kind: bytes) -> list[tuple]:
+        """All that is stated under a name, which should be once; readers take the last."""
+        out = []
+        for begin, end in found.get((name, kind), ()):
+            file.seek(begin)
+            out.append(_take(file, _EXR_LAYOUTS[kind]) if kind in _EXR_LAYOUTS else (file.read(min(end - begin, 256)),))
+        return out
+
+    windows = values(b"dataWindow", b"box2i")
+    sizes = [(x1 - x0 + 1, y1 - y0 + 1) for x0, y0, x1, y1 in windows + values(b"displayWindow", b"box2i")]
+    if any(min(size) <= 0 for size in sizes):
+        raise _Unknown
+    tile = (values(b"tiles", b"tiledesc") or [(0, 0, 0)])[-1]
+    channels = 0
+    for begin, end in found.get((b"channels", b"chlist"), ()):
+        file.seek(begin)
+        channels += _exr_channels(file, end)
+    header = _tiled((max(w for w, _ in sizes), max(h for _, h in sizes)), tile[:2], channels, 4)
+    tiled, deep = bool(version & _EXR_TILED), False
+    if version & (_EXR_DEEP | _EXR_SEVERAL):  # else the flag counts: programs have left the type of another file there
+        kinds = values(b"type", b"string")
+        if not kinds or kinds[-1][0] not in _EXR_KINDS:
+            raise _Unknown
+        tiled, deep = _EXR_KINDS[kinds[-1][0]]
+    (compression,) = values(b"compression", b"compression")[-1]
+    (count,) = (values(b"chunkCount", b"int") or [(None,)])[-1]
+    file.seek(behind)
+    return header, exr_chunks.PartHeader(tiled, deep, windows[-1], compression, tile, count)
 
 
 def _exr_channels(file: BinaryIO, end: int) -> int:
-    """How many channels a list holds."""
-    count = 0
-    while file.tell() < end and _exr_text(file):
-        file.seek(16, io.SEEK_CUR)
-        count += 1
-        if count > MOST_ITEMS:
+    """How many channels a list holds, at least one; it must come to its end at `end`."""
+    for count in range(MOST_ITEMS):
+        if not _exr_text(file):
+            if count == 0 or file.tell() != end:
+                raise _Unknown
+            return count
+        kind, _, across, down = _take(file, "<iB3xii")
+        if not 0 <= kind <= 2 or across < 1 or down < 1:
             raise _Unknown
-    return count
+    raise _Unknown
 
 
 def _exr_text(file: BinaryIO) -> bytes:
