@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
+from adjgi.adjoint_gi.core.lights import flux as light_flux
 from adjgi.adjoint_gi.core.lights.emission import Emission
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
 from adjgi.adjoint_gi.core.scene.arrays import Light
@@ -88,6 +89,52 @@ def test_particles_carry_what_is_emitted(case):
     assert ends.emitted_energy == pytest.approx(3 * emitted, rel=0.02)
     assert first == pytest.approx(3 * entering, rel=0.02)
     assert ends.emitted_energy == pytest.approx(ends.absorbed_energy + ends.escaped_energy + ends.cut_energy, rel=1e-6)
+
+
+def boxes(places, *lights, background=0.0):
+    """Unit cubes at these places."""
+    b = SceneBuilder()
+    for k, place in enumerate(places):
+        b.box(f"Box {k}", tuple(place), tuple(np.add(place, 1)), diffuse("Grey", 0.5), inward=False)
+    return World(lit(b, *lights, background=background).build())
+
+
+SKIES = {"sun": (tilted(0.6), 0.0), "soft sun": (tilted(0.6, angle=0.2), 0.0), "sky": (None, 1.0), "sun and sky": (tilted(0.6), 1.0)}
+SHOWN = math.cos(0.6) + math.sin(0.6)
+RIM = (0.2 - math.sin(0.2)) / PI / math.sin(0.1) ** 2  # on both sides of a cube that see half of the soft sun's disk
+
+
+@pytest.mark.parametrize(("count", "far"), [(2, 30.0), (2, 200.0), (2, 2e3), (2, 4e4), (12, 2e3), (12, 4e4), (200, 4e3), (200, 4e4)])
+@pytest.mark.parametrize("sky", SKIES)
+def test_how_far_apart_things_stand_does_not_matter(sky, far, count, monkeypatch):
+    """Neither to what falls on them nor to the number of rays that find it. They stand in a line along x, which no sun looks along."""
+    sun, background = SKIES[sky]
+    world = boxes([(x, 0, 0) for x in np.linspace(0, far, count)], *([sun] if sun else []), background=background)
+    rays, intersect = [], World.intersect
+    monkeypatch.setattr(World, "intersect", lambda self, o, *more: rays.append(len(o)) or intersect(self, o, *more))
+    flux = Emitters(world).flux
+    # What they hide of the sky from each other is below a thousandth.
+    expected = 3 * count * ((SHOWN if sun else 0) + (RIM if sky == "soft sun" else 0) + 6 * PI * background)
+    assert flux.emitted == pytest.approx(expected, rel=0.004)
+    assert flux.entering == pytest.approx(expected, rel=0.004)
+    assert sum(rays) < 1 << 17
+
+
+def test_objects_that_throw_shadows_on_each_other_from_afar_count_once():
+    """Cubes in a row along the sun: what falls on all is what falls on one."""
+    flux = Emitters(boxes([(0, 0, -500.0 * k) for k in range(7)], tilted(0.0))).flux
+    assert flux.entering == pytest.approx(3, rel=0.004)
+
+
+def test_points_of_triangles_and_particles_find_the_same(monkeypatch):
+    """Whatever is cheaper is taken: a heap of boxes by both."""
+    rng = np.random.default_rng(1)
+    found = []
+    for most in (0.0, 1e9):
+        world = boxes(rng.permutation(np.random.default_rng(2).uniform(0, 9, (40, 3))), tilted(0.6, angle=0.3), background=1.0)
+        monkeypatch.setattr(light_flux, "LEAST", most)
+        found.append(Emitters(world).flux.entering)
+    assert found[0] == pytest.approx(found[1], rel=0.01) and found[0] != found[1]
 
 
 def test_a_soft_lamp_lights_nothing_where_its_disk_is_out_of_the_way():

@@ -14,7 +14,7 @@ import pytest
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights.area import AreaLights
 from adjgi.adjoint_gi.core.lights.background import Background
-from adjgi.adjoint_gi.core.lights.base import FAR, LampKind, LightKind, bounding_radius
+from adjgi.adjoint_gi.core.lights.base import FAR, LampKind, LightKind
 from adjgi.adjoint_gi.core.lights.direct import direct_irradiance
 from adjgi.adjoint_gi.core.lights.emission import Emission
 from adjgi.adjoint_gi.core.lights.emitters import Emitters
@@ -24,6 +24,7 @@ from adjgi.adjoint_gi.core.lights.spot import SpotLights
 from adjgi.adjoint_gi.core.lights.sun import SunLights
 from adjgi.adjoint_gi.core.sampling import maps
 from adjgi.adjoint_gi.core.scene.arrays import Color, Light, Lobe, Material, RayKind, Source, Term, Texture
+from adjgi.adjoint_gi.core.scene.clusters import clusters
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.particles import walk
 
@@ -285,7 +286,7 @@ def test_gathering_and_shooting_agree_about_power(name):
     world, kind = scene(name)
     rng = np.random.default_rng(4)
     far = (drawn(kind, np.zeros((3, 1), np.float32), rng).distance >= FAR).all()
-    radius, sign = (bounding_radius(world), 1) if far else (30.0, -1)
+    radius, sign = (float(clusters(world).radius[0]), 1) if far else (30.0, -1)
     middle = np.zeros(3) if far else np.array([0.1, 0.2, 1.0]) - world.center
     gathered = []
     for _ in range(32):

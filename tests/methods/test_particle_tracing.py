@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from adjgi.adjoint_gi.core.elements.elements import ElementReceivers, Elements
 from adjgi.adjoint_gi.core.flux.tally import Tally
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.lights.emission import Emission
@@ -366,3 +367,29 @@ def test_receivers_that_count_nothing_are_said_from_half_of_them_on(lit, said):
     tally.direct[: lit // 2], tally.indirect[lit // 2 : lit] = 1.0, 1.0
     found = empty_notices("Particles", tally)
     assert bool(found) == said and all("60% of the receivers" in n.reason for n in found)
+
+
+# ---- things far apart
+
+
+@pytest.mark.parametrize("far", [200.0, 2e3, 2e4])
+@pytest.mark.parametrize("sky", ["sun", "sky"])
+def test_a_floor_is_lit_whatever_lies_far_away(sky, far):
+    """Both squares get 1 W m-2, and the noise that is told is the noise there is."""
+    b = SceneBuilder()
+    b.quad("Floor", (-1, -1, 0), (2, 0, 0), (0, 2, 0), diffuse("Floor", 0.5))
+    b.quad("Far", (far, 0, 0), (2, 0, 0), (0, 2, 0), diffuse("Far", 0.5))
+    if sky == "sun":
+        b.light(Light("Sun", "sun", (1.0,) * 3, angle=0.00918))
+    else:
+        b.background = (1 / math.pi,) * 3
+    world = World(b.build())
+    receivers = ElementReceivers(Elements(world, 0.75))
+    solution = solve(world, receivers, 100_000)
+    area = receivers.elements.area
+    got = solution.quantity("irradiance")[0::2, 0]
+    assert np.average(got, weights=area) == pytest.approx(1, rel=0.02)
+    told = solution.history[-1][1]
+    assert 0.3 * told < np.sqrt(np.average((got - 1) ** 2, weights=area)) < 2 * told < 0.2
+    assert solution.emitted_flux == pytest.approx(3 * 8 * (1 if sky == "sun" else 2), rel=0.004)
+    assert solution.balance.emitted == pytest.approx(solution.emitted_flux, rel=0.02) and solution.balance.gap < 1e-6

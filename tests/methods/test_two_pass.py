@@ -150,6 +150,25 @@ def test_light_of_the_background_over_a_mirror_is_met_by_rays():
     assert caustics.total[2].min() > 0.1 and not caustics.unmet.any()
 
 
+@pytest.mark.parametrize("far", [0.0, 2e3, 2e4])
+@pytest.mark.parametrize("sky", ["sun", "sky"])
+def test_light_over_a_mirror_that_is_far_from_other_things(sky, far):
+    """A wall beside a mirror, and another object far away: over the mirror the wall gets what it gets without that."""
+    b = SceneBuilder()
+    b.quad("Mirror", (0, 0, 0), (1, 0, 0), (0, 1, 0), MIRROR)
+    b.quad("Wall", (0, 0, 0), (0, 1, 0), (0, 0, 1), diffuse("Wall", 0.5))
+    if far:
+        b.quad("Far", (far, 0, 0), (1, 0, 0), (0, 1, 0), diffuse("Far", 0.5))
+    if sky == "sun":
+        b.light(Light("Sun", "sun", (1.0,) * 3, axis_x=(0.8, 0, -0.6), axis_y=(0, 1, 0), axis_z=(0.6, 0, 0.8)))
+    else:
+        b.background = (1 / np.pi,) * 3
+    caustics = first_pass(b.build(), 100.0, particles=100_000, rays=16).outside.caustics
+    # Of the sun all that falls within 0.75 m of the wall, of the sky the form factor between squares that share an edge.
+    expected = 0.75 * 0.8 if sky == "sun" else 0.20004378
+    assert caustics.total[2, 0] == pytest.approx(expected, rel=0.03) and not caustics.total[3].any()
+
+
 def test_light_of_a_lamp_with_a_size_through_a_pane():
     """Particles from the lamp bring what rays that meet the lamp through the pane find; the pane is thick, so both its faces refract."""
     glass = Material("Glass", (Lobe("glass", Color.of(1, 0.9, 0.8), 0.0, 1.5),))

@@ -13,9 +13,10 @@ import numpy as np
 
 from ..sampling import maps as sampling
 from ..sampling.maps import PI
+from ..scene.clusters import clusters
 from ..scene.world import World
 from .base import FAR, LightKind, Rays, Sample
-from .outgoing import from_outside, sphere_directions
+from .outgoing import sphere_directions
 
 UNIFORM = 1 / (4 * PI)
 
@@ -23,7 +24,7 @@ UNIFORM = 1 / (4 * PI)
 class Background(LightKind):
     """The radiance that arrives from far away.
 
-    `any`: whether it is not black. Its `flux` is the power that enters the sphere around the scene, much of which passes by.
+    `any`: whether it is not black. Its `flux` is the power that enters the spheres around the scene, much of which passes by.
     Light points are not drawn from it (its importance is 0): rays drawn by the cosine are its best density, as it is constant.
     """
 
@@ -54,9 +55,9 @@ class Background(LightKind):
     def flux(self) -> np.ndarray:
         """(1, 3) float64 W."""
         color = np.maximum(np.asarray(self.world.scene.background, np.float64), 0)
-        return (color * (4 * math.pi**2 * self.scene_radius**2))[None]
+        return (color * (4 * math.pi * clusters(self.world).area))[None]
 
     def shoot(self, i: int, square: np.ndarray, rng: np.random.Generator, cell: np.ndarray) -> Rays:
-        """A uniform direction; the origin on a disk that covers the scene, outside of it."""
+        """A uniform direction; the origin before the scene, on the disk that covers sphere `cell`."""
         direction = sphere_directions(square[:, 0], square[:, 1])
-        return Rays(from_outside(direction, self.scene_radius, square[:, 2:]), direction, np.broadcast_to(self.flux[0], direction.shape))
+        return self.from_far(i, direction, square[:, 2:], cell)

@@ -16,7 +16,9 @@ import numpy as np
 
 from ..sampling.maps import dot
 from ..scene.arrays import Light
+from ..scene.clusters import clusters
 from ..scene.world import World
+from .outgoing import from_outside
 
 FAR = np.float32(1e30)  # distance of what is infinitely far
 INF = np.float32(np.inf)
@@ -67,7 +69,8 @@ class LightKind:
     importance  (k,) float64 rough power in W, the channels summed, by which light sampling picks
     shadow      (k,) bool: whether things cast shadows in its light
     sized       whether rays can meet them
-    far         whether the light comes from outside of the scene, whose `flux` is then the power that enters the sphere around it
+    far         whether the light comes from outside of the scene: `flux` is then the power that enters the spheres around it
+                (`scene.clusters`), much of which passes by, and what enters two of them counts twice
 
     Besides what is here a kind answers what rays see of it, with the density of `sample` for their directions: lamps, which rays pass
     through, by `seen`; meshes, which rays hit, by `radiance` and `pdf_w` of the hit; the background by those of the direction.
@@ -81,11 +84,6 @@ class LightKind:
     sized = True
     far = False
 
-    @cached_property
-    def scene_radius(self) -> float:
-        """Radius of the sphere around the scene that light from far away enters, m."""
-        return bounding_radius(self.world)
-
     def sample(self, i: np.ndarray, p: np.ndarray, u: np.ndarray, v: np.ndarray) -> Sample:
         """For gathering: a point on each light `i` (n,) as seen from `p` (3, n), from random numbers `u` and `v` (n,)."""
         raise TypeError(f"{type(self).__name__} does not define sample()")
@@ -95,8 +93,24 @@ class LightKind:
         raise TypeError(f"{type(self).__name__} does not define shoot()")
 
     def cells(self, i: int) -> np.ndarray:
-        """(c,) float64 power of each part of light `i` that shooting chooses between; one part unless the kind says otherwise."""
-        return self.flux[i : i + 1].sum(axis=1)
+        """(c,) float64 power of each part of light `i` that shooting chooses between; one part unless the kind says otherwise, or light
+        comes from far away: then it is that which enters each sphere."""
+        power = self.flux[i : i + 1].sum(axis=1)
+        return power * self._shares if self.far else power
+
+    @cached_property
+    def _shares(self) -> np.ndarray:
+        found = clusters(self.world)
+        return found.areas / found.area
+
+    def from_far(self, i: int, direction: np.ndarray, square: np.ndarray, cell: np.ndarray) -> Rays:
+        """Rays along `direction` (n, 3) that enter the spheres `cell` (n,), from points `square` (n, 2) of the unit square.
+
+        A ray may enter others, too, by which it could as well have been drawn: so it has the sum of the densities (Veach 1997, section
+        9.2: the balance heuristic), which is that of one times their number, as all disks have one density where spheres are drawn by area.
+        """
+        origin, many = from_outside(clusters(self.world), direction, square, cell)
+        return Rays(origin, direction, self.flux[i] * (self._shares[cell] / many)[:, None])
 
     def sources(self) -> list[ParticleSource]:
         """Those that emit anything, for shooting."""
@@ -206,12 +220,3 @@ def unit(to: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Directions and lengths of vectors (3, n); a zero vector keeps a direction, at distance 0."""
     distance = np.sqrt(dot(to, to))
     return to / np.maximum(distance, np.float32(1e-20)), distance
-
-
-def bounding_radius(world: World) -> float:
-    """Radius of a sphere around the world's centre that holds all its triangles, metres."""
-    rows = world.rows
-    if not len(rows):
-        return 1.0
-    corners = np.concatenate([rows[:, 0:3], rows[:, 0:3] + rows[:, 3:6], rows[:, 0:3] + rows[:, 6:9]])
-    return float(np.linalg.norm(corners.astype(np.float64), axis=1).max()) * (1 + 1e-5) + 4 * float(world.offset.max())

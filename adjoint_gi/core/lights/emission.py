@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..sampling.additive import STEPS, additive
+from ..sampling.maps import Stretches
 from ..scene.arrays import RayKind
 from ..scene.world import World
 from .background import Background
@@ -43,8 +44,9 @@ class Emission:
     """All light sources of a world as one distribution of particles.
 
     names   what emits: each emissive object, then each lamp, then "Background"; only those with some power
-    flux    (k, 3) float64 emitted power of each, W. For the sun and the background it is the power that enters the sphere around
-            the scene, much of which passes by. For a textured emission it is a quadrature, although draws use the exact values.
+    flux    (k, 3) float64 emitted power of each, W. For the sun and the background it is the power that enters the spheres around
+            the scene (`LightKind.far`), much of which passes by. For a textured emission it is a quadrature, although draws use the
+            exact values.
     """
 
     def __init__(self, world: World, sources: list[ParticleSource] | None = None) -> None:
@@ -57,14 +59,10 @@ class Emission:
         self.names = tuple(s.name for s in sources)
         self.flux = np.array([s.flux for s in sources], np.float64).reshape(-1, 3)
 
-        # Every source is divided into cells of known power (a lamp is one cell), and a particle first chooses its cell.
+        # Every source is divided into cells of known power (a lamp nearby is one cell), and a particle first chooses its cell.
         cells = [s.cells for s in sources]
         self._first = np.concatenate([[0], np.cumsum([len(c) for c in cells])]).astype(np.int64)
-        power = np.concatenate(cells) if sources else np.zeros(0)
-        self._probability = power / power.sum() if len(power) else power
-        self._cumulative = np.cumsum(self._probability)
-        # Rounding may leave the last sum below 1, and cells after the last lit one have no power.
-        self._last_lit = int(np.flatnonzero(power)[-1]) if len(power) else 0
+        self._cells = Stretches(np.concatenate(cells) if sources else np.zeros(0))
 
     @property
     def is_dark(self) -> bool:
@@ -77,7 +75,8 @@ class Emission:
         return self.flux.sum(axis=0)
 
     def draw(self, n: int, rng: np.random.Generator) -> Particles:
-        """`n` particles whose summed weight is the emitted power in expectation (exactly, where no emission is textured).
+        """`n` particles whose summed weight is the emitted power in expectation (exactly, where no emission is textured), of light from far
+        away that which enters any of the spheres around the scene.
 
         Sources are chosen by power with one jittered point in each n-th of it. Position and direction within a source come from a
         low-discrepancy sequence with a random shift, so each particle alone is distributed as if drawn independently.
@@ -87,7 +86,7 @@ class Emission:
             return Particles(none, none, none, np.zeros(0, np.int32), np.zeros(0, np.float32))
         # Step 1: the cell of every particle, ascending because the jittered points are.
         point = (np.arange(n) + rng.random(n)) / n
-        cell = np.minimum(np.searchsorted(self._cumulative, point, side="right"), self._last_lit)
+        cell = self._cells.pick(point)
         # Step 2: four coordinates in the unit cube.
         square = additive(np.arange(1, n + 1), STEPS[4], rng.random((4, 1))).T
         # Step 3: every source turns its stretch into rays and says the power its cell would have if it shone everywhere like here.
@@ -102,5 +101,5 @@ class Emission:
                 light[part] = index
                 if rays.dark is not None:
                     dark[part] = rays.dark
-        weight /= (n * self._probability[cell])[:, None].astype(np.float32)
+        weight /= (n * self._cells.probability[cell])[:, None].astype(np.float32)
         return Particles(origin, direction, weight, light, dark, far=self._far[light])

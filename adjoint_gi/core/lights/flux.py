@@ -2,6 +2,7 @@
 
 emitted   power of the lamps that have a place, and of the emitting faces; of suns and of the background, whose power has no end, that which
           falls on the scene: irradiance across the rays times the area that the scene shows them, from outside
+          (found by points of its triangles or by particles, whatever tries less in vain: how far apart things lie does not matter)
 entering  what of this arrives at surfaces straight from the emitters, before any reflection
 """
 
@@ -13,19 +14,20 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ..sampling.additive import STEPS, additive
-from ..sampling.maps import PowerTable, cosine_directions, frame_rows, triangle
+from ..sampling.maps import PowerTable, Stretches, cosine_directions, dot_rows, triangle
 from ..scene.arrays import RayKind
+from ..scene.clusters import clusters
 from ..scene.world import World
 from .background import Background
-from .base import LightKind
+from .base import ParticleSource
 from .emission import Emission
 from .lamps import Lamps
 from .mesh import MeshLights
 
 PARTICLES = 1 << 13  # by which it is found how much of the light of lamps, and of faces, meets a surface
-DIRECTIONS = 256  # of a sun with an angle, and of the background
-GRID = 12  # rays a side across the scene for each of them
-PARALLEL_GRID = 128  # the same for parallel light
+RAYS = 1 << 16  # by which it is found what light from far away falls on
+TRIED = 16  # directions of it by which triangles are drawn
+LEAST = 0.05  # of their areas by which they are drawn besides, for directions that are not among those
 ROUNDING = 1e-5  # share of the power of lamps that sums of float32 weights may miss
 
 
@@ -51,7 +53,7 @@ def light_flux(world: World, mesh: MeshLights, lamps: Lamps, background: Backgro
 
 def _measure(world: World, mesh: MeshLights, lamps: Lamps, background: Background) -> LightFlux:
     sources = lamps.sources() + background.sources()
-    far = sum(_falling(world, s.kind, s.index) for s in sources if s.kind.far)
+    far = _falling(world, [s for s in sources if s.kind.far])
     near = [s for s in sources if not s.kind.far]
     power = sum(float(s.flux.sum()) for s in near)
     met = _lamps_met(world, near)
@@ -60,38 +62,34 @@ def _measure(world: World, mesh: MeshLights, lamps: Lamps, background: Backgroun
     return LightFlux(power + far + faces, met + far + faces * _faces_met(world, mesh), power - met)
 
 
-def _falling(world: World, kind: LightKind, i: int) -> float:
-    """Flux of light from far away that falls on the scene: `kind.flux` is that through the disk of `scene_radius`."""
-    radius = kind.scene_radius
-    parallel = not kind.sized
-    # The first two of the four numbers of a ray make its direction.
-    many = 1 if parallel else DIRECTIONS
-    square = np.full((many, 4), 0.5)
-    square[:, :2] = additive(np.arange(many), STEPS[2], 0.5).T
-    directions = kind.shoot(i, square, np.random.default_rng(0), np.zeros(many, np.int64)).direction
-    shown = _shown_area(world, directions, PARALLEL_GRID if parallel else GRID)
-    return float(kind.flux[i].sum()) * float(shown.mean()) / (np.pi * radius**2)
+def _falling(world: World, sources: list[ParticleSource]) -> float:
+    """Flux of `sources`, light from far away, that falls on the scene."""
+    emission = Emission(world, sources)
+    if emission.is_dark or not world.triangle_count:
+        return 0.0
+    p = emission.draw(RAYS, np.random.default_rng(0))
+    power = float(emission.total.sum()) / clusters(world).area  # W m-2 of all
+    # A triangle shows light from everywhere its area times a cosine; what it is drawn by is the mean over some of the directions.
+    normal, tried = world.rows[:, 9:12], p.direction[RAYS // TRIED // 2 :: RAYS // TRIED]
+    shown = world.area * (LEAST + sum(np.abs(normal @ w) for w in tried) / len(tried))
+    if 0 < shown.sum() < clusters(world).area:
+        return power * _triangles_met(world, shown, p.direction.astype(np.float64))
+    met = world.intersect(p.origin, p.direction, p.kind)[0] >= 0
+    return float(p.weight[met].sum(dtype=np.float64))
 
 
-def _shown_area(world: World, directions: np.ndarray, side: int) -> np.ndarray:
-    """(n,) float64 m2 of the scene's silhouette along `directions` (n, 3), by side x side rays across the box around it."""
-    corners = np.concatenate([world.rows[:, :3], world.rows[:, :3] + world.rows[:, 3:6], world.rows[:, :3] + world.rows[:, 6:9]])
-    if not len(corners):
-        return np.zeros(len(directions))
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    box = np.array([[(low, high)[i][0], (low, high)[j][1], (low, high)[k][2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-    k = np.arange(side**2)
-    shift = np.random.default_rng(0).random((len(directions), 2))
-    out = np.zeros(len(directions))
-    start = 2 * float(np.linalg.norm(box, axis=1).max())
-    for number, (w, x, y) in enumerate(zip(directions, *frame_rows(directions), strict=True)):
-        # A grid with a shift of its own, so that what falls between its lines is another thing every time.
-        a, b = (k % side + shift[number, 0]) / side, (k // side + shift[number, 1]) / side
-        across, up = box @ x, box @ y
-        width, height = np.ptp(across), np.ptp(up)
-        origin = (across.min() + a * width)[:, None] * x + (up.min() + b * height)[:, None] * y - start * w
-        out[number] = width * height * _share_met(world, origin, np.broadcast_to(w, origin.shape))
-    return out
+def _triangles_met(world: World, shown: np.ndarray, direction: np.ndarray) -> float:
+    """m2 that the scene shows light along `direction` (n, 3), in the mean, from points on triangles that are drawn by `shown` (nt,).
+
+    A place in the shadow that the scene throws counts once, for the triangle that light meets there first.
+    """
+    number, drawn = np.arange(1, len(direction) + 1), Stretches(shown)
+    which = drawn.pick(additive(number, STEPS[1], 0.5)[0])
+    surface = world.surface(which, *(x.astype(np.float32) for x in triangle(*additive(number, STEPS[2], 0.5))))
+    origin, _ = clusters(world).before(surface.position.astype(np.float64), direction)
+    first = _first_met(world, origin, direction) == which
+    cosine = np.abs(dot_rows(surface.ng, direction))
+    return float((first * cosine * world.area[which] / drawn.probability[which]).mean())
 
 
 def _lamps_met(world: World, sources: list) -> float:
@@ -114,9 +112,11 @@ def _faces_met(world: World, mesh: MeshLights) -> float:
     surface = world.surface(which, *(x.astype(np.float32) for x in triangle(u[0], u[1])))
     back = u[2] < 0.5
     normal = np.where(back[:, None], -surface.ng, surface.ng)
-    return _share_met(world, world.leave(surface, back), cosine_directions(normal, (2 * u[2]) % 1, u[3]))
+    met = _first_met(world, world.leave(surface, back), cosine_directions(normal, (2 * u[2]) % 1, u[3]))
+    return float((met >= 0).mean())
 
 
-def _share_met(world: World, origin: np.ndarray, direction: np.ndarray) -> float:
+def _first_met(world: World, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """(n,) int32 triangles that light along these rays meets, -1 for none."""
     rays = (np.ascontiguousarray(x, np.float32) for x in (origin, direction))
-    return float((world.intersect(*rays, RayKind.SHADOW)[0] >= 0).mean())
+    return world.intersect(*rays, RayKind.SHADOW)[0]

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..sampling.maps import cone_local, disk, frame_rows, polar_rows
+from ..scene.clusters import Clusters
 
 MOST_ROUNDS = 64
 
@@ -49,7 +50,9 @@ def across(direction: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return x[:, None] * first + y[:, None] * second
 
 
-def from_outside(direction: np.ndarray, radius: float, square: np.ndarray) -> np.ndarray:
-    """(n, 3) origins, uniform on the disk before the scene that a beam along `direction` needs to cover it."""
+def from_outside(spheres: Clusters, direction: np.ndarray, square: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 3) origins before the scene, uniform on the disks that beams along `direction` (n, 3) need to cover the spheres `which` (n,), and
+    how many of the spheres each ray enters, (n,)."""
     x, y = disk(square[:, 0], square[:, 1])
-    return radius * (across(direction, x, y) - direction)
+    at = spheres.center[which] + spheres.radius[which, None] * across(direction, x, y)
+    return spheres.before(at, direction, which)

@@ -10,9 +10,10 @@ import numpy as np
 from ..sampling import maps as sampling
 from ..sampling.maps import TWO_PI, dot
 from ..scene.arrays import Light
+from ..scene.clusters import clusters
 from ..scene.world import World
 from .base import FAR, INF, LampKind, Rays, Sample, Seen
-from .outgoing import cone_directions, from_outside
+from .outgoing import cone_directions
 
 SMALLEST_SUN = 0.01  # 1 - cos of the half angle: rays drawn by the cosine hardly ever meet smaller ones
 
@@ -20,7 +21,7 @@ SMALLEST_SUN = 0.01  # 1 - cos of the half angle: rays drawn by the cosine hardl
 class SunLights(LampKind):
     """Suns. Radiance of the disk is irradiance / (pi sin^2 h), h half its angle; a sun without an angle sends parallel light.
 
-    Their `flux` is the power that enters the sphere around the scene, much of which passes by.
+    Their `flux` is the power that enters the spheres around the scene, much of which passes by.
     """
 
     far = True
@@ -39,9 +40,9 @@ class SunLights(LampKind):
         return math.pi * self.world.extent**2
 
     def solid(self, i: int) -> float:
-        """Cross-section of the sphere around the scene, times what the tilt of the disk's rim adds, m2."""
+        """Cross-section of the spheres around the scene, times what the tilt of the disk's rim adds, m2."""
         # Radiance is E / (pi sin^2 h) over the disk's solid angle 2 pi (1 - cos h), with h half its angle.
-        return math.pi * self.scene_radius**2 * 2 / (1 + math.cos(self.lights[i].angle / 2))
+        return clusters(self.world).area * 2 / (1 + math.cos(self.lights[i].angle / 2))
 
     def emitted(self) -> np.ndarray:
         """(k, 3) float64: radiance of a disk, irradiance of parallel light."""
@@ -81,7 +82,7 @@ class SunLights(LampKind):
     # ---- shooting
 
     def shoot(self, i: int, square: np.ndarray, rng: np.random.Generator, cell: np.ndarray) -> Rays:
-        """A uniform direction of the disk; the origin on a disk that covers the scene, outside of it."""
+        """A uniform direction of the disk; the origin before the scene, on the disk that covers sphere `cell`."""
         local = cone_directions(math.cos(self.lights[i].angle / 2), square[:, 0], square[:, 1])
         direction = -local @ self._frame(i)
-        return self._rays(i, from_outside(direction, self.scene_radius, square[:, 2:]), direction)
+        return self.from_far(i, direction, square[:, 2:], cell)

@@ -138,6 +138,23 @@ def power_heuristic(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return ONE / (ONE + r * r)
 
 
+class Stretches:
+    """Picks an index with probability proportional to its weight: the stretch of 0..1 that a number lies in. Even numbers pick evenly.
+
+    probability (k,) float64: of each index, 0 for weights that are 0.
+    """
+
+    def __init__(self, weights: np.ndarray) -> None:
+        self.probability = weights / weights.sum() if len(weights) else weights
+        self._ends = np.cumsum(self.probability)
+        # Rounding may leave the last sum below 1, and what comes after the last weight that is not 0 must not be picked.
+        self._last = int(np.flatnonzero(weights)[-1]) if len(weights) else 0
+
+    def pick(self, u: np.ndarray) -> np.ndarray:
+        """(n,) int64 indices for numbers `u` (n,) in 0..1, ascending where they are."""
+        return np.minimum(np.searchsorted(self._ends, u, side="right"), self._last)
+
+
 class PowerTable:
     """Picks an index with probability proportional to its weight, at the cost of two look-ups (Walker's alias method, 1977).
 

@@ -15,6 +15,7 @@ from ..elements.elements import Elements
 from ..lights.base import LampKind
 from ..lights.emitters import Emitters
 from ..sampling.additive import STEPS, additive
+from ..sampling.maps import Stretches
 from ..scene.arrays import RayKind
 from ..walks.mirror_chains import Chains
 from .known_light import KnownLight
@@ -44,6 +45,7 @@ class Caustics:
         if chains.any and particles:
             self._sources = emitters.lamps.sources() + emitters.background.sources()
         power = np.array([s.power for s in self._sources])
+        self._cells = [Stretches(s.cells) for s in self._sources]
         self._counts = [max(MIN_PARTICLES, int(particles * p / power.sum())) for p in power]
         self.by_length = np.zeros((chains.depth + 2 if self._sources else 2, sides, 3))
         self.unmet = np.zeros_like(self.by_length)
@@ -96,8 +98,11 @@ class Caustics:
         source = self._sources[index]
         rng = np.random.default_rng([19, index, first])
         square = additive(np.arange(first + 1, last + 1), STEPS[4], 0.5).T
-        start = source.shoot(square, rng, np.zeros(last - first, np.int64))
-        flux = start.flux / np.float32(self._counts[index])
+        # The particles of a source are spread over its cells as over one stretch, each at random in its part of it.
+        many, cells = self._counts[index], self._cells[index]
+        cell = cells.pick((np.arange(first, last) + rng.random(last - first)) / many)
+        start = source.shoot(square, rng, cell)
+        flux = start.flux / (many * cells.probability[cell])[:, None].astype(np.float32)
         found, other, escaped, rays = [], np.zeros(3), np.zeros(3), 0
         origin, direction = (np.ascontiguousarray(x, np.float32) for x in (start.origin, start.direction))
         for met in self.chains.follow(origin, direction, RayKind.SHADOW, rng, start.dark):
