@@ -2554,6 +2554,13 @@ BUGS = (
         "tests/blender/test_uv_edits.py -k users_have_changed",
     ),
     Bug(
+        "values of an edited object get the mesh that was baked with its corners in another order",
+        "adjoint_gi/bridge/results/elements.py",
+        "    there = np.flatnonzero(vertex >= 0)\n",
+        "    there = np.flatnonzero(vertex >= 0)[::-1]\n",
+        "tests/blender/test_nothing_lost.py -k fit_no_mesh",
+    ),
+    Bug(
         "nobody says that a duplicate's UVs are made anew",
         "adjoint_gi/bridge/baking/sides.py",
         '(TWICE if obj in twice else "")',

@@ -19,6 +19,7 @@ from adjgi.adjoint_gi.bridge.baking.bake import Bake
 from adjgi.adjoint_gi.bridge.cli import bake as cli_bake
 from adjgi.adjoint_gi.bridge.cli import main as cli
 from adjgi.adjoint_gi.bridge.cli import open as cli_open
+from adjgi.adjoint_gi.bridge.host.meshes import corner_vertices
 from adjgi.adjoint_gi.bridge.results import kept
 from adjgi.adjoint_gi.bridge.results.attribute import linked_attribute, result_object
 from adjgi.adjoint_gi.core.base.atomic import remove_leftovers, temporary_suffix
@@ -82,12 +83,64 @@ def test_a_target_that_cannot_hold_its_attribute_any_more_gets_it_on_an_object_o
     assert any(f'the result is on the object "{own.name}"' in str(n) for n in made.notices)
 
 
-def test_values_that_fit_no_mesh_are_refused(lit):
-    made = baked(lit)
-    subdivision(lit)
-    lit.data.clear_geometry()
-    with pytest.raises(TargetError):
-        made.write(made.driver.solution())
+def mask(obj):
+    obj.modifiers.new("Mask", "MASK")
+
+
+def more_copies(obj):
+    obj.modifiers["Array"].count = 5
+
+
+def no_modifier(obj):
+    obj.modifiers.clear()
+
+
+def other_mesh(obj):
+    subdivision(obj)
+    obj.data.clear_geometry()
+
+
+@pytest.mark.parametrize("domain", ["POINT", "CORNER"])
+@pytest.mark.parametrize("change", [subdivision, mask, more_copies, no_modifier, other_mesh, None])
+def test_values_that_fit_no_mesh_any_more_get_the_one_that_was_baked(lit, change, domain):
+    """Of quads, mirrored, with three materials: every value at its place, material and shading of its face."""
+    for name in ("First", "Second"):
+        lit.data.materials.append(bpy.data.materials.new(name))
+    array = lit.modifiers.new("Array", "ARRAY")
+    array.relative_offset_displace, array.fit_type = (1.5, 0, 0), "FIXED_COUNT"
+    lit.scale, lit.location = (-2, 1, 1), (1, 2, 3)
+    lit.data.polygons[0].material_index, lit.data.polygons[0].use_smooth = 1, True
+    bpy.context.view_layer.update()
+    ask = request(target="attribute", values={"samples": 4}, domain=domain, objects=(lit.name,))
+    made = Bake(bpy.context, ask)
+    made.driver.run()
+    shape = lit.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh()
+    expected = [lit.matrix_world @ shape.vertices[k].co for k in corner_vertices(shape)], [list(p.vertices) for p in shape.polygons]
+    lit.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh_clear()
+    if change is not None:
+        change(lit)
+        bpy.context.view_layer.update()
+    made.driver.state, state = "running", made.driver.state
+    if change is not None:
+        with pytest.raises(TargetError):  # what is shown meanwhile waits for the end
+            made.write(made.driver.solution())
+    made.driver.state = state
+    made.write(made.driver.solution())
+    own = result_object(lit)
+    mesh = own.data
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose([own.matrix_world @ mesh.vertices[k].co for k in corner_vertices(mesh)], expected[0], atol=1e-5)
+    assert [list(p.vertices) for p in mesh.polygons] == expected[1]
+    assert {p.material_index for p in mesh.polygons} == {1} and all(p.use_smooth for p in mesh.polygons)
+    assert [s.material.name for s in own.material_slots] == ["Square", "First", "Second"]
+    index = next(iter(made.writer.vertices.index))
+    values = made.driver.solution().quantity("irradiance")
+    np.testing.assert_array_equal(corners(own).reshape(-1, 4)[:, :3], made.writer.vertices.spread(index, values))
+    told = [n for n in made.notices if f'the result is on the object "{own.name}"' in n.reason]
+    assert len(told) == (change is not None) and all(n.remedy for n in told)
+    before = mesh
+    made.write(made.driver.solution())
+    assert result_object(lit).data == before or change is None, "a continued bake goes on there"
 
 
 def test_a_kept_result_on_a_full_disk_is_an_error_with_a_remedy(lit, monkeypatch, tmp_path):

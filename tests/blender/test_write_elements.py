@@ -222,15 +222,21 @@ def test_partial_results_show_the_elements_while_they_are_cut():
     assert sizes[0] == 16 and sizes[-1] > 16
 
 
-def test_an_object_edited_meanwhile_is_named():
+def test_an_object_edited_meanwhile_is_named_and_its_elements_are_kept():
+    """In the end; what is shown until then waits for it."""
     floor = shadow()
     made = Bake(bpy.context, request("progressive_radiosity", "attribute", few("progressive_radiosity"), new_object=True))
     solution = made.driver.run()
     floor.data.clear_geometry()
     bpy.context.view_layer.update()
+    made.driver.state, state = "running", made.driver.state
     with pytest.raises(TargetError, match="Floor: was edited meanwhile.*Bake again"):
         made.write(solution)
     assert result_object(floor) is None and len(bpy.data.objects) == 4
+    made.driver.state = state
+    made.write(solution)
+    assert len(result_object(floor).data.polygons) == 16
+    assert any(n.object == "Floor" and "as they were then" in n.reason and n.remedy == "Bake again" for n in made.notices)
 
 
 def test_other_methods_keep_the_evaluated_mesh():

@@ -21,7 +21,7 @@ from ...core.receivers.vertices import VertexMap, vertex_receivers
 from ..host.preparation import Aside, Stages, once
 from ..results import links, preview
 from ..results.attribute import WrittenAttribute, write_attribute, write_to_copy
-from ..results.elements import write_elements
+from ..results.elements import write_as_baked, write_elements
 from ..results.real import is_whole
 from .preflight import receiving
 from .writer import Writer, find_objects
@@ -68,10 +68,10 @@ class AttributeWriter(Writer):
             where = (target, self.request.quantity, self.request.domain)
             how = {"name": self.request.attribute, "depsgraph": depsgraph}
             if mesh is not None:
-                written = write_elements(*where, self.world.scene, index, mesh, values, valid, **how)
+                written = self._write_elements(where, (self.world.scene, index, mesh, values, valid), how)
             else:
                 found = self.vertices.spread(index, values), self.vertices.spread(index, valid)[:, 0]
-                written = self._write_mesh(where, found, how)
+                written = self._write_mesh(index, where, found, how)
             written.object.data[links.ABOUT] = json_text(self.metadata(solution))
             if written.taken is not None:
                 self.notices.append(written.taken)
@@ -80,17 +80,32 @@ class AttributeWriter(Writer):
         preview.follow(followed, self.request.quantity, attributes=True)
         return datablocks, []
 
-    def _write_mesh(self, where: tuple, found: tuple[np.ndarray, np.ndarray], how: dict[str, Any]) -> WrittenAttribute:
-        """Onto the object's mesh, or onto an object of its own where the user has meanwhile made a linked duplicate or a modifier that
-        changes the mesh: the result is whole, and its mesh is still there."""
+    def _write_elements(self, where: tuple, found: tuple, how: dict[str, Any]) -> WrittenAttribute:
+        """Onto an object of the elements, which are there however the user has edited the object meanwhile."""
+        try:
+            return write_elements(*where, *found, **how)
+        except TargetError as error:
+            if not self.is_last:
+                raise
+            written = write_elements(*where, *found, **how, edited=True)
+            text = f'was edited since the bake was started; the object "{written.object.name}" has its elements as they were then'
+            self.notices.append(Notice(error.notice.object, text, error.notice.remedy))
+            return written
+
+    def _write_mesh(self, index: int, where: tuple, found: tuple[np.ndarray, np.ndarray], how: dict[str, Any]) -> WrittenAttribute:
+        """Onto the object's mesh, or onto an object of its own. Where the user has meanwhile made a linked duplicate, or has added or
+        changed or removed modifiers, that has the mesh which was baked: the result is whole."""
         # What was made of a curve is an object of its own already.
         separate = (self.request.new_object or where[0].name in self.request.separate) and not is_whole(where[0])
         try:
             return write_attribute(*where, *found, **how, new_object=separate)
         except TargetError as error:
-            if not self.is_last or separate:
+            if not self.is_last:
                 raise
-            written = write_to_copy(*where, *found, name=self.request.attribute, reason=error)
+            try:
+                written = write_to_copy(*where, *found, name=self.request.attribute, reason=error)
+            except TargetError:
+                written = write_as_baked(*where, self.world.scene, index, *found, name=self.request.attribute)
             text = f'{error.notice.reason}; that is new since the bake was started, so the result is on the object "{written.object.name}"'
             self.notices.append(Notice(error.notice.object, text, error.notice.remedy))
             return written
