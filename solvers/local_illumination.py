@@ -27,7 +27,7 @@ import numpy as np
 
 from ..adjoint_gi.core.base import settings as base
 from ..adjoint_gi.core.base.settings import setting
-from ..adjoint_gi.core.bsdf.cook_torrance import cook_torrance
+from ..adjoint_gi.core.bsdf.cook_torrance import coat_curve, cook_torrance, reflected_base
 from ..adjoint_gi.core.bsdf.table import BsdfTable
 from ..adjoint_gi.core.lights.emitters import Emitters
 from ..adjoint_gi.core.lights.light_points import LightPoints, background_notices, phong_lobe
@@ -80,6 +80,7 @@ class LocalIllumination(Solver):
             Soft shadows are made of one hard shadow per light point
             Roughness r maps to the exponent (2 / r^4 - 2) / 4 of a cosine lobe, or to the slope r^2 of facets
             Mirrors and glass reflect only highlights
+            In Phong's two models a coat's highlight comes on top of its base, and a white one sends back 1.04 of the light
             Light of the world arrives only through the ambient radiance
         """),
         leaves_out="interreflection",
@@ -92,6 +93,8 @@ class LocalIllumination(Solver):
         run = Run(self.spec, world, receivers, settings, emitters, background_notices(emitters, settings.ambient))
         points = LightPoints(emitters, settings.light_points)
         table = BsdfTable(world.scene, self.spec.lobes)
+        if settings.model == "cook_torrance":
+            table.coats = table.coats.by(coat_curve)
 
         def estimate(surface: Surface, wo: np.ndarray | None, _: np.random.Generator) -> Gathered:
             return shade(world, points, table, surface, wo, settings)
@@ -113,7 +116,8 @@ def shade(world: World, points: LightPoints, table: BsdfTable, surface: Surface,
             rays += cast
             # Bouknight (7) in watts: k_d / pi times the irradiance Le(j) cos theta(j) dw(j), with k_d the albedo.
             received = radiance * (cosine * solid_angle)[:, None]
-            direct += received * lobes.diffuse / np.float32(np.pi)
+            base = reflected_base(lobes, wi) if s.model == "cook_torrance" else lobes.diffuse
+            direct += received * base / np.float32(np.pi)
             # Phong (8) adds k_s Le(j) cos^n alpha(j), without the cosine of incidence; the others have the cosine here, too.
             if s.model == "phong":
                 direct += radiance * solid_angle[:, None] * phong_lobe(lobes, wi)

@@ -237,6 +237,20 @@ BUGS = (
         "tests/core/test_mixes.py -k basic_radiance",
     ),
     Bug(
+        "Cook and Torrance's coat takes nothing from its base",
+        "adjoint_gi/core/bsdf/cook_torrance.py",
+        "    if not lobes.coating.layers:\n",
+        "    if True:\n",
+        "tests/methods/test_local_illumination.py -k loses_and_makes",
+    ),
+    Bug(
+        "Cook and Torrance's coat takes from its base what one of GGX does",
+        "solvers/local_illumination.py",
+        "            table.coats = table.coats.by(coat_curve)\n",
+        "            pass\n",
+        "tests/methods/test_local_illumination.py -k no_light_of_a_coat",
+    ),
+    Bug(
         "Cook and Torrance without masking",
         "adjoint_gi/core/bsdf/cook_torrance.py",
         "scale = lobes.slots[i].weight[rows] * d * g /",

@@ -54,8 +54,17 @@ class Coating:
 class Coats(Curves):
     """Albedo of white coats over the cosine. Row 0 is no coat."""
 
-    def __init__(self) -> None:
-        super().__init__(lambda roughness, ior: _with_mean(coat_albedo(COSINES, roughness, ior)), 0.0)
+    def __init__(self, albedo: Callable[[np.ndarray, float, float], np.ndarray] | None = None) -> None:
+        """`albedo`: (m,) of a coat at cosines (m,) for a roughness and an index; `coat_albedo` unless another model of facets is given."""
+        albedo = albedo or coat_albedo
+        super().__init__(lambda roughness, ior: _with_mean(albedo(COSINES, roughness, ior)), 0.0)
+
+    def by(self, albedo: Callable[[np.ndarray, float, float], np.ndarray]) -> Coats:
+        """The same coats in the same rows, by another model of their facets."""
+        out = Coats(albedo)
+        for shape in self._known:
+            out.row(*shape)
+        return out
 
     def albedo(self, coating: Coating, cosine: np.ndarray) -> np.ndarray:
         """E (n, 1) or (n, 3) of all coats at a cosine (n,); coats of one stack lie on one another, each in full."""

@@ -6,6 +6,9 @@
 
 The paper prints F D G / pi with a D that is pi times as large, four times as much in all: facets would send more than they receive. Here
 D is normalised, so that the facets turned by it cover the surface once.
+
+The paper adds Rs to the diffuse Rd as s Rs + d Rd with s + d = 1, which are weights of lobes here. A coat over a base has no such shares:
+it leaves the base what it does not reflect itself (`coat.Coats.leaves`), by the albedo of these facets.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from . import microfacet as mf
 from .lobes import HIGHLIGHT
 from .table import Lobes
 
+GRID = 64  # half vectors of a coat's albedo, squared
 SMALLEST_SLOPE = np.float32(0.05**2)  # a mirror's highlight would be a point
 
 
@@ -34,6 +38,37 @@ def cook_torrance(lobes: Lobes, wi: np.ndarray) -> np.ndarray:
         scale = lobes.slots[i].weight[rows] * d * g / np.maximum(4 * seen.wo[:, 2] * w[rows, 2], np.float32(1e-7))
         out[rows] += kind.fresnel(seen, between) * scale[:, None]
     return out
+
+
+def reflected_base(lobes: Lobes, wi: np.ndarray) -> np.ndarray:
+    """(n, 3) albedo of the base for light from `wi` (n, 3), less what coats reflect; `Lobes.table` must have those of these facets."""
+    if not lobes.coating.layers:
+        return lobes.diffuse
+    return lobes.diffuse * lobes.table.coats.leaves(lobes.coating, lobes.local[:, 2], np.maximum(lobes.to_local(wi)[:, 2], 0))
+
+
+def coat_albedo(mu: np.ndarray, roughness: float, ior: float) -> np.ndarray:
+    """(m,) albedo of a coat of these facets at cosines `mu` (m,): half vectors by Beckmann's distribution times their cosine to n."""
+    grid = (np.arange(GRID) + 0.5) / GRID
+    u, v = (x.ravel() for x in np.meshgrid(grid, grid, indexing="ij"))
+    slope = max(roughness**2, float(SMALLEST_SLOPE))
+    tan2, phi = -(slope**2) * np.log(1 - u), 2 * np.pi * v
+    z = 1 / np.sqrt(1 + tan2)
+    h = np.stack([np.sqrt(tan2) * z * np.cos(phi), np.sqrt(tan2) * z * np.sin(phi), z], axis=1).astype(np.float32)
+    out = np.zeros(len(mu))
+    for i, cosine in enumerate(np.asarray(mu, np.float32)):
+        wo = np.broadcast_to(np.float32([np.sqrt(1 - cosine * cosine), 0, cosine]), h.shape)
+        between, wi = dot_rows(wo, h), mf.reflect(wo, h)
+        seen = (between > 0) & (wi[:, 2] > 0)
+        share = masking(h[:, 2], between, wo[:, 2], wi[:, 2]) * between / (cosine * h[:, 2])
+        out[i] = np.where(seen, mf.fresnel(between, np.full(len(h), ior, np.float32)) * share, 0).mean(dtype=float)
+    return out
+
+
+def coat_curve(mu: np.ndarray, roughness: float, ior: float) -> np.ndarray:
+    """(m,) the same at the cosines of a table. The first entry stands for all smaller cosines and has the albedo at a quarter of its own,
+    so that a coat and its base send no more than they get there either."""
+    return coat_albedo(np.concatenate([mu[:1] / 4, mu[1:]]), roughness, ior)
 
 
 def beckmann(h: np.ndarray, slope: np.ndarray) -> np.ndarray:
