@@ -190,6 +190,10 @@ class ParticleRun:
         arrays, rays = self.score.arrays(tally.per_particle(tally.direct), tally.per_particle(tally.indirect), tally.area)
         lights = {"light_flux": tally.per_particle(tally.lights).astype(np.float32), "light_names": np.array(self.emission.names, np.str_)}
         arrays["extra"] = arrays["extra"] | lights
+        dark = ()
+        if not self.partial and not at_receivers(self.receivers, self.settings):  # of which it is said how many have counted nothing
+            about = self.settings, self.spec.label, self.receivers.measure
+            dark = noise.darkness((arrays["direct"], arrays["indirect"]), self.flux.emitted, *about)
         return Solution(
             self.spec.id,
             self.receivers.measure,
@@ -199,7 +203,7 @@ class ParticleRun:
             left_out=self.left_out,
             emitted_flux=self.flux.emitted,
             entering_flux=self.flux.entering,
-            warnings=self.warnings,
+            warnings=self.warnings + dark,
             settings=self.settings.as_dict(),
             partial=self.partial,
         )

@@ -1049,6 +1049,13 @@ BUGS = (
         "tests/core/test_clusters.py -k start_before",
     ),
     Bug(
+        "results without light say nothing where something emits",
+        "adjoint_gi/core/method/noise.py",
+        "any(x.any() for x in light)",
+        "any(x.any() or True for x in light)",
+        "tests/core/test_said_of_results.py -k without_any_light",
+    ),
+    Bug(
         "long thin triangles have one sphere",
         "adjoint_gi/core/scene/clusters.py",
         "if not thin.any():",

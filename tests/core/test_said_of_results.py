@@ -244,6 +244,60 @@ def test_particles_state_the_error_of_one_batch_fewer():
     assert tally.relative_error() == pytest.approx(np.sqrt((variance / area).sum() / (mean**2 / area).sum()), rel=1e-6)
 
 
+def test_particles_that_bring_nothing_state_no_error():
+    tally = Tally(5, 1)
+    for _ in range(3):
+        tally.add(Batch(7, np.zeros((5, 3)), np.zeros((5, 3)), np.ones(5), np.zeros((1, 3)), Ends()))
+    assert tally.relative_error() == float("inf")
+
+
+def shut_in(lit):
+    """A closed room and a square outside, with lamps where `lit` says: outside, inside, or none."""
+    b = SceneBuilder()
+    b.quad("Floor", (0, 0, 0), (4, 0, 0), (0, 4, 0), diffuse("White", 0.5))
+    b.box("Room", (0, 0, 0), (4, 4, 3), diffuse("White", 0.5), inward=True)
+    b.quad("Outside", (9, 0, 0), (4, 0, 0), (0, 4, 0), diffuse("White", 0.5))
+    if lit is not None:
+        b.light(Light("Lamp", "point", (5.0,) * 3, (2.0, 2.0, 2.0) if lit == "inside" else (9.0, 2.0, 4.0)))
+    b.camera = Camera("perspective", (2, 2, 2.9), (1, 0, 0), (0, 1, 0), (0, 0, 1), (-0.5, 0.5, -0.5, 0.5), 8, 8)
+    return World(b.build())
+
+
+ALL = ON_ELEMENTS | {
+    "particle_tracing": {"particles": 20_000},
+    "path_tracing": {"samples": 4},
+    "distribution": {"samples": 2},
+    "irradiance_cache": {"rays": 32},
+    "local_illumination": {},
+    "whitted": {},
+}
+
+
+@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("measure", ["irradiance", "radiance"])
+def test_a_result_without_any_light_says_so_once_where_something_emits(name, measure):
+    for lit, count in (("outside", 1), ("inside", 0), (None, 0)):
+        world = shut_in(lit)
+        receivers = CameraReceivers(world) if measure == "radiance" else quad_points(*(0.1 + 0.8 * x for x in grid(4)))
+        solution = solve(name, world, receivers, seed=1, **ALL[name])
+        assert (solution.direct + solution.indirect).any() == (lit == "inside")
+        told = said(solution, "no light has arrived")
+        assert len(told) == count
+        if told:
+            what = "pixel" if measure == "radiance" else "texel"
+            assert f"at any {what}, of 188 W that are emitted" in told[0].reason and told[0].remedy
+
+
+def test_darkness_that_was_asked_for_is_not_told():
+    black, settings = np.zeros((4, 3)), method("path_tracing").Settings
+    about = "Path Tracing", "irradiance"
+    assert len(noise.darkness((black, black), 1.0, settings(), *about)) == 1
+    assert noise.darkness((black, black + 1e-9), 1.0, settings(), *about) == ()
+    assert noise.darkness((black, black), 0.0, settings(), *about) == ()
+    assert noise.darkness((black, black), 1.0, settings(max_length=0, min_length=0), *about) == ()
+    assert noise.darkness((black[:0], black[:0]), 1.0, settings(), *about) == ()
+
+
 def test_settings_that_have_no_samples_are_told_of_rays():
     settings = dataclasses.replace(method("irradiance_cache").Settings(), rays=64)
     (one,) = noise.notices(0.5, settings, "Irradiance Caching", "irradiance", 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -146,14 +147,14 @@ class Tally:
         return self.per_particle(self._area)
 
     def relative_error(self) -> float:
-        """Relative standard error of the irradiance, root mean square by area, from the spread of the batches."""
+        """Relative standard error of the irradiance, root mean square by area, from the spread of the batches; inf where nothing is."""
         if self.batches < 2:
             return float("inf")
         total = (self.direct + self.indirect).sum(axis=1)
         weight = np.where(self.area > 0, 1 / np.maximum(self.area, 1e-300), 0)
         spread = np.maximum(self.squares - total**2 / self.batches, 0) * (self.batches / (self.batches - 1))
         power = weight @ total**2
-        return float(np.sqrt((weight @ spread) / power)) if power > 0 else 0.0
+        return float(np.sqrt((weight @ spread) / power)) if power > 0 else math.inf
 
     def balance(self) -> EnergyBalance:
         """Where the power went. With smooth shading the gap is what bent normals added, see `Ends`."""

@@ -128,9 +128,12 @@ class ElementRun:
         return Step(fraction, text, solution)
 
     def _noise(self, parts: Parts) -> tuple[Notice, ...]:
-        """Says how noisy the direct light is that was evaluated at the receivers: elements themselves have no noise of texels."""
-        about = parts.noise, self.settings, self.spec.label, self.receivers.measure, lights_of(self.emitters)
-        return noise.notices(*about, part="direct light", lowered_by="light_samples")
+        """Says how noisy direct light is that was evaluated at the receivers, as elements have no noise of texels; or that all is dark."""
+        about = self.settings, self.spec.label, self.receivers.measure
+        told = noise.notices(parts.noise, *about, lights_of(self.emitters), part="direct light", lowered_by="light_samples")
+        flux = self.emitters.flux
+        # Where nothing reaches any surface, `check_lit` has said so.
+        return told + noise.darkness((parts.direct, parts.indirect), flux.emitted if flux.entering > 0 else 0.0, *about)
 
 
 class RadiosityRun(ElementRun):

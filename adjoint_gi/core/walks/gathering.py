@@ -177,7 +177,9 @@ class Run:
             self.left_out = self._left_out()
         self.warnings += path_limit.notices(self.left_out, self.settings.max_length)
         error = self.clock.history[-1][1] if self.clock.history else None
-        self.warnings += noise.notices(error, self.settings, self.spec.label, self.receivers.measure, lights_of(self.emitters))
+        about = self.settings, self.spec.label, self.receivers.measure
+        self.warnings += noise.notices(error, *about, lights_of(self.emitters))
+        self.warnings += noise.darkness((self.film.direct, self.film.indirect), self.emitters.flux.emitted, *about)
         self.partial = False
         yield from self.clock.last(Step(1.0, text, self.solution))
 
