@@ -34,6 +34,9 @@ class ADJOINTGI_OT_show_result(Guarded, bpy.types.Operator):
             report(self, error.notice)
             return {"CANCELLED"}
         self.report({"INFO"}, f"Showing the result on {count} object{'s' if count != 1 else ''}")
+        left = results.not_exported(context.scene)
+        if left is not None:
+            report(self, left)
         return {"FINISHED"}
 
 

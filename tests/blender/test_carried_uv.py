@@ -15,10 +15,12 @@ from adjgi.adjoint_gi.bridge.results import carried, links
 from adjgi.adjoint_gi.bridge.results.lightmap_uv import make_lightmap_uvs, outdated, own_layer, remove_lightmap_uv
 from adjgi.adjoint_gi.bridge.results.preview import restore, show
 from adjgi.adjoint_gi.bridge.results.remove import remove_results
+from adjgi.adjoint_gi.bridge.results.show import not_exported
 from adjgi.adjoint_gi.core.base.errors import AdjointError
 from adjgi.adjoint_gi.core.gallery.builder import SceneBuilder, diffuse
 from adjgi.adjoint_gi.core.receivers.texels import rasterize
 from adjgi.adjoint_gi.core.scene.world import World
+from adjgi.operators import result
 from adjgi.tests import room
 from adjgi.tests.baking import bake, make_lightmap_uv, request
 
@@ -225,6 +227,15 @@ def test_a_gltf_export_has_the_layer(tmp_path):
     assert {(round(float(u), 5), round(float(v), 5)) for u, v in got} == known and len(known) > 40
 
 
+def exported(folder):
+    """The materials of a glTF export, by object."""
+    path = folder / "shown.glb"
+    bpy.ops.export_scene.gltf(filepath=str(path), export_apply=True, export_lights=False)
+    data = path.read_bytes()
+    head = json.loads(data[20 : 20 + struct.unpack("<I", data[12:16])[0]])
+    return {n["name"]: head["materials"][head["meshes"][n["mesh"]]["primitives"][0]["material"]] for n in head["nodes"] if "mesh" in n}
+
+
 def test_a_gltf_export_of_what_is_shown_has_lightmap_and_base_colour(tmp_path):
     """Also of objects with modifiers, whose evaluated mesh the exporter looks at; and all is as it was afterwards."""
     plain, thick, twins = box("Plain"), box("Thick", "BEVEL"), [box("Twin"), box("Other")]
@@ -240,16 +251,48 @@ def test_a_gltf_export_of_what_is_shown_has_lightmap_and_base_colour(tmp_path):
     before = {o.name: [(s.link, s.material) for s in o.material_slots] for o in (plain, thick, *twins)}
     bake(request(values={"samples": 1}, resolution=64, atlas=True))
     show([plain, thick, *twins], "irradiance")
-    path = tmp_path / "shown.glb"
-    bpy.ops.export_scene.gltf(filepath=str(path), export_apply=True, export_lights=False)
-    data = path.read_bytes()
-    head = json.loads(data[20 : 20 + struct.unpack("<I", data[12:16])[0]])
-    of = {n["name"]: head["materials"][head["meshes"][n["mesh"]]["primitives"][0]["material"]] for n in head["nodes"] if "mesh" in n}
+    of = exported(tmp_path)
     for k, name in enumerate(("Plain", "Thick")):
         assert "emissiveTexture" in of[name]
         assert of[name]["emissiveFactor"] == pytest.approx([0.5 / np.pi, 0.25 / np.pi, 0.125 * k / np.pi], abs=1e-5)
     assert restore([plain, thick, *twins]) == 4
     assert {o.name: [(s.link, s.material) for s in o.material_slots] for o in (plain, thick, *twins)} == before
+
+
+@pytest.mark.parametrize("modifiers", [(), ("BEVEL",)])
+@pytest.mark.parametrize("why", ["linked duplicates", "slots of the object"])
+def test_what_is_shown_and_no_gltf_export_has_is_named_with_a_remedy_that_helps(registered, tmp_path, monkeypatch, why, modifiers):
+    first, second, alone = box("First", *modifiers), box("Second", *modifiers), box("Alone", *modifiers)
+    materials = [bpy.data.materials.new(name) for name in ("Red", "Blue")]
+    concerned = {"First", "Second"} if why == "linked duplicates" else {"First"} if modifiers else set()
+    if why == "linked duplicates":
+        second.data = first.data
+    for mesh in {o.data for o in (first, second, alone)}:
+        for material in materials:
+            mesh.materials.append(material)
+    if why != "linked duplicates":
+        for slot in first.material_slots:
+            slot.link = "OBJECT"
+            slot.material = materials[0]
+    bpy.context.view_layer.update()
+    made = bake(request(values={"samples": 1}, resolution=64, atlas=True))
+    made.remember(bpy.context.scene, made.driver.solution(), [], [])
+    reported = []
+    monkeypatch.setattr(result, "report", lambda _, notice: reported.append(notice))
+    assert bpy.ops.adjoint_gi.show_result() == {"FINISHED"}
+    told = not_exported(bpy.context.scene)
+    assert reported == ([told] if concerned else [])
+    without = {name for name, material in exported(tmp_path).items() if "emissiveTexture" not in material}
+    assert without == concerned == set(told.names if told is not None else ())
+    before = {o.name: uvs(evaluated(o)) for o in (first, second)}
+    for obj in (first, second):
+        obj.data = obj.data.copy()
+    assert bpy.ops.adjoint_gi.restore() == {"FINISHED"}
+    for slot in (s for o in (first, second) for s in o.material_slots):
+        slot.link = "DATA"
+    assert bpy.ops.adjoint_gi.show_result() == {"FINISHED"} and len(reported) == bool(concerned)
+    assert all("emissiveTexture" in material for material in exported(tmp_path).values())
+    assert all(np.array_equal(uvs(evaluated(o)), before[o.name]) for o in (first, second))
 
 
 def test_changed_faces_are_shown_nowhere_said_and_made_anew():

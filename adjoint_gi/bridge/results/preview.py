@@ -106,6 +106,13 @@ def shown(obj: bpy.types.Object) -> bool:
     return stored.read(obj, STATE) is not None
 
 
+def exported(obj: bpy.types.Object) -> bool:
+    """Whether a glTF export that applies modifiers has what `obj` shows: with modifiers it reads the slots of the mesh, and those of the
+    object only where the mesh has a single one, which is empty."""
+    empty = [*obj.data.materials] == [None]
+    return not shown(obj) or not obj.modifiers or empty or all(slot.link == "DATA" for slot in obj.material_slots)
+
+
 def own_material(
     obj: bpy.types.Object, index: int, material: bpy.types.Material | None, below: bpy.types.Material | None
 ) -> tuple[bpy.types.Material | None, bool]:

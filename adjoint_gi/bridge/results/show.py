@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 import bpy
 
-from ...core.base.errors import TargetError
+from ...core.base.errors import Notice, TargetError
 from ..host.notices import listed
 from . import links as targets
 from . import preview, real, stored
@@ -67,6 +67,17 @@ def show(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer | None = None) 
             _reveal(seen)
             _hide(hidden, seen, scene, layer)
     return len(objects)
+
+
+def not_exported(scene: bpy.types.Scene) -> Notice | None:
+    """On which objects of `scene` what is shown does not reach a glTF export, and what to do about it; None where there are none."""
+    names = [o.name for o in scene.objects if o.type == "MESH" and not preview.exported(o)]
+    if not names:
+        return None
+    reason = "shows its result by slots of the object, not of its mesh, which others use or which you have not linked to Data: a glTF "
+    reason += "export with Apply Modifiers has its lightmap UVs, but no lightmap"
+    remedy = "Before such an export use Make Single User (Object & Data), link slots to Data, and press Show Result again"
+    return Notice(listed(names), reason, remedy, "info", tuple(names))
 
 
 def restore(scene: bpy.types.Scene) -> int:
