@@ -418,6 +418,7 @@ def test_what_lets_light_pass_or_emits_stays_as_it_is(case, tmp_path):
     before = everything(), len(bpy.data.node_groups)
     preview.show([obj], "irradiance")
     scene.cycles.samples = 4096
+    scene.cycles.use_denoising = False
     scene.render.resolution_x = scene.render.resolution_y = 4
     got = render(scene, tmp_path / "picture.exr").mean(axis=(0, 1))
     assert np.allclose(got, want, rtol=0.02), (got, want)
@@ -439,3 +440,26 @@ def test_a_mesh_that_has_changed_is_magenta(tmp_path):
     obj.data.uv_layers["UVMap"].uv.foreach_set("vector", np.full(8, -1, np.float32))
     got = pixel(obj, tmp_path / "picture.exr")
     assert np.allclose(got, BASE * [1, 0, 1], rtol=2e-3)
+
+
+@pytest.mark.parametrize("muted", ("shader", "mix", "color link", "shader link", "nothing"))
+def test_what_is_muted_shades_nothing_in_the_preview(muted, tmp_path):
+    """As Cycles has it: a muted Principled gives nothing, a muted Mix its first shader, a muted link the value that was typed."""
+    made = material("m", (0.25, 0.5, 1.0, 1.0))
+    tree = made.node_tree
+    shader, output = tree.nodes["Principled BSDF"], tree.get_output_node("ALL")
+    colour, mix = tree.nodes.new("ShaderNodeRGB"), tree.nodes.new("ShaderNodeMixShader")
+    colour.outputs[0].default_value = (0.5, 0.5, 0.5, 1.0)
+    tree.links.new(colour.outputs[0], shader.inputs["Base Color"])
+    tree.links.new(shader.outputs[0], mix.inputs[1])
+    mix.inputs[0].default_value = 0.75
+    tree.links.new(mix.outputs[0], output.inputs["Surface"])
+    shader.mute, mix.mute = muted == "shader", muted == "mix"
+    for link, name in ((shader.inputs["Base Color"].links[0], "color link"), (mix.inputs[1].links[0], "shader link")):
+        link.is_muted = muted == name
+    obj = plane(materials=[made])
+    bake(obj, value=np.pi)
+    preview.show([obj], "irradiance")
+    expected = {"shader": 0.0, "mix": 0.5, "color link": np.array((0.25, 0.5, 1.0)) / 4, "shader link": 0.0, "nothing": 0.125}[muted]
+    seen = render(radiance(obj), tmp_path / "seen.exr")
+    np.testing.assert_allclose(seen, np.broadcast_to(expected, seen.shape), rtol=1e-2, atol=1e-6)

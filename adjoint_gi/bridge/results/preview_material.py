@@ -68,8 +68,10 @@ class _Rewriting:
         self._copies: dict[bpy.types.NodeTree, bpy.types.NodeTree] = {}
 
     def rewrite(self, tree: bpy.types.NodeTree) -> None:
-        """Rewrite `tree`, which is ours."""
-        nodes = list(tree.nodes)
+        """Rewrite `tree`, which is ours. What is muted shades nothing: such links are as good as none, and such nodes stay as they are."""
+        for link in [link for link in tree.links if link.is_muted]:
+            tree.links.remove(link)
+        nodes = [node for node in tree.nodes if not node.mute]
         scattering = [n for n in nodes if n.type in SCATTERS_TOO or (n.type.startswith("BSDF_") and n.type not in CLEAR)]
         emitting = [n for n in nodes if n.type == "EMISSION"]
         if not self._times_base and not scattering:  # the result is all of the light that leaves, that of lamps included
