@@ -191,6 +191,7 @@ def test_bake_picture(tmp_path, method):
         (["--uv-layer", "Nothing"], ['has no UV layer "Nothing"', "leave it empty"]),
         (["--target", "statue"], ["invalid choice: 'statue'"]),
         (["missing.blend"], ["missing.blend: does not exist"]),
+        (["/"], ["/: is a folder", "Name a .blend file"]),
     ],
 )
 def test_wrong_input_is_refused_with_object_reason_and_remedy(tmp_path, arguments, words):
@@ -200,6 +201,17 @@ def test_wrong_input_is_refused_with_object_reason_and_remedy(tmp_path, argument
     for word in words:
         assert word in err, err
     assert list(tmp_path.iterdir()) == [] and not bpy.data.images
+
+
+@needs_wheel
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes with a name")
+@pytest.mark.parametrize("name", ("pipe.blend", os.devnull))
+def test_what_is_no_file_is_refused_at_once_and_called_what_it_is(name, tmp_path):
+    """A pipe that nobody writes to would keep whoever opens it waiting for ever."""
+    os.mkfifo(tmp_path / "pipe.blend")
+    process = start("check", tmp_path / name)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 2 and "is a device, a pipe or a socket, not a file. Name a .blend file" in err, err
 
 
 def test_results_that_would_be_lost_are_refused(tmp_path):

@@ -17,7 +17,7 @@ from adjgi.adjoint_gi.bridge.results.image import linked_image
 from adjgi.adjoint_gi.bridge.results.remove import remove_results
 from adjgi.adjoint_gi.core.base.errors import AdjointError
 from adjgi.tests import baking
-from adjgi.tests.cycles_patch import add_light
+from adjgi.tests.cycles_patch import add_light, shader_material
 from adjgi.tests.hostile import CUBE, SQUARE, mesh
 
 QUICK = {"samples": 1, "max_length": 2}
@@ -139,3 +139,65 @@ def test_objects_with_modifiers_of_any_name_are_one_line():
         obj.modifiers.new(f"Thick {k}", "SOLIDIFY")
     (told,) = [n for n in preflight(bpy.context, request("attribute")) if "change its vertices" in n.reason]
     assert told.names == ("good 0", "good 1", "good 2") and SEPARATE in told.reason
+
+
+NAN = float("nan")
+
+
+def bevelled(name):
+    """A curve with faces."""
+    data = bpy.data.curves.new(name, "CURVE")
+    data.dimensions, data.bevel_depth = "3D", 0.1
+    line = data.splines.new("POLY")
+    line.points.add(1)
+    line.points[1].co = (1, 0, 0, 1)
+    made = bpy.data.objects.new(name, data)
+    bpy.context.scene.collection.objects.link(made)
+    return made
+
+
+def flat(obj):
+    obj.scale.z = 0
+
+
+def nowhere(obj):
+    obj.location.x = NAN
+
+
+def mist(obj):
+    material = shader_material("mist", "ShaderNodeVolumeScatter")
+    tree = material.node_tree
+    volume, output = (next(n for n in tree.nodes if n.type == kind) for kind in ("VOLUME_SCATTER", "OUTPUT_MATERIAL"))
+    tree.links.clear()
+    tree.links.new(volume.outputs[0], output.inputs["Volume"])
+    obj.data.materials.append(material)
+
+
+def no_numbers(obj):
+    if obj.type == "MESH":
+        obj.data.vertices.foreach_set("co", [NAN] * 3 * len(obj.data.vertices))
+        obj.data.update()
+    else:
+        obj.data.splines[0].points[1].co.x = NAN
+
+
+@pytest.mark.parametrize("target", ("texture", "attribute"))
+@pytest.mark.parametrize("kind", ("mesh", "full mesh", "curve"))
+@pytest.mark.parametrize("spoil", (flat, nowhere, mist, no_numbers))
+def test_what_is_left_out_is_told_why_and_nothing_of_what_would_be_made(spoil, kind, target, registered):
+    """No lightmap layer, no object of its own, no other reason: that a curve with a bevel needs one, for example."""
+    scene(1)
+    bad = bevelled("bad") if kind == "curve" else mesh(*SQUARE, name="bad")
+    for k in range(8 if kind == "full mesh" else 0):
+        bad.data.uv_layers.new(name=f"theirs {k}")
+        bad.data.attributes.new(f"AdjointGI {k}" if k else "AdjointGI", "FLOAT", "POINT")
+    spoil(bad)
+    bpy.context.view_layer.update()
+    for look in (preflight, rehearse):
+        said = look(bpy.context, request(target))
+        reasons = [n.reason for n in said if "bad" in (n.names or (n.object,))]
+        assert [r for r in reasons if "left out" in r] and len(reasons) <= 2, reasons
+        made = (SEPARATE, "is made", "made anew", "gets a number", "gives no faces")
+        assert not [r for r in reasons if any(words in r for words in made)], reasons
+        assert not [n for n in said if "bevel" in n.remedy]
+        assert target == "attribute" or [n for n in said if "one is made" in n.reason and "good 0" in (n.names or (n.object,))]

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
+from pathlib import Path
 
 import bpy
 
@@ -30,13 +32,20 @@ def open_scene(options: argparse.Namespace) -> None:
 def open_file(scene: str) -> None:
     """Open a .blend file without its window layout; raises `TargetError`."""
     path = files.absolute(scene)
-    if not path.is_file():
-        raise TargetError(str(path), "does not exist", "Name a .blend file")
+    if not os.path.isfile(path):  # what is none is not opened: a pipe would wait for ever
+        raise TargetError(str(path), _instead_of_a_file(path), "Name a .blend file")
     try:
         # Scripts in a file from elsewhere are not run.
         bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
     except RuntimeError as error:
         raise TargetError(str(path), f"cannot be opened ({str(error).strip()})", "Name a .blend file that this Blender can read") from None
+
+
+def _instead_of_a_file(path: Path) -> str:
+    """What a path is that names no regular file."""
+    if os.path.isdir(path):
+        return "is a folder"
+    return "is a device, a pipe or a socket, not a file" if os.path.exists(path) else "does not exist"
 
 
 def require_scene() -> None:

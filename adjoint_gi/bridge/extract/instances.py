@@ -77,7 +77,8 @@ class InstanceWalk:
         self._visits: list[Visit] = []
         self._faceless: dict[str, tuple[str, str]] = {}  # reason and remedy, for objects without faces of their own
         self._metas: set[str] = set()
-        self._given: set[str] = set()  # who has faces in the light all the same: by the mesh of an object made of its instance
+        # Who has faces all the same: in the light by the mesh of an object made of its instance, or left out, and told why.
+        self._given: set[str] = set()
         self._names: set[str] = set()
         self.lights: list[LightInstance] = []
 
@@ -182,6 +183,7 @@ class InstanceWalk:
         if is_flat(matrix):
             reason = "has a scale of zero or a matrix that is not a number and is left out"
             self._notices.add(name, reason, "Give it a scale other than zero on every axis")
+            self._given.add(source)
         else:
             mesh = own.data if own is not None else obj.data
             if not self._is_copied(obj, mesh, source, over):

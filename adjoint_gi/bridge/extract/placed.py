@@ -91,7 +91,7 @@ class Walked:
                 reason = "has volumes only, no surface, and is left out: light passes through it"
                 notices.add(visit.source, reason, "", "info")
         found = [group for group in groups.values() if group is not None]
-        self._name_faceless({visit.source for group in found for visit in group.visits}, made, notices)
+        self._name_faceless(made, notices)
         return found
 
     def _group(self, visit: Visit, meshes: dict[tuple[int, bool], MeshArrays | None]) -> Group | None:
@@ -109,8 +109,9 @@ class Walked:
         keep = ~np.isin(slots[np.clip(arrays.slot, 0, len(slots) - 1)], list(self.bodiless))
         return arrays.taken(keep) if keep.any() else None
 
-    def _name_faceless(self, present: Set[str], made: Mapping[str, int], notices: Notices) -> None:
+    def _name_faceless(self, made: Mapping[str, int], notices: Notices) -> None:
         """Name objects without faces, by what is in the light of them."""
+        present = {visit.source for visit in self.visits}  # what is left out of these has been named with its own reason
         families = {name.split(".")[0] for name in present}
         for name, (reason, remedy) in self.faceless.items():
             # Metaballs of one name form one surface, which the first of them owns.
