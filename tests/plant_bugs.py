@@ -1484,7 +1484,7 @@ BUGS = (
     ),
     Bug(
         "what is left out is promised a layer",
-        "adjoint_gi/bridge/baking/preflight.py",
+        "adjoint_gi/bridge/baking/promises.py",
         "        if any(words in n.reason for words in WILL_BE_MADE):",
         "        if not WILL_BE_MADE:",
         "tests/blender/test_left_out.py -k told_why",

@@ -36,7 +36,8 @@ from .attributes import AttributeWriter
 from .denoising import denoise
 from .instances import Real, make
 from .picture import PictureWriter
-from .preflight import checker, fulfilled, inspecting, left_out, ordered, picture_size, preflight, receiving, resolve, target_objects
+from .preflight import checker, inspecting, left_out, ordered, picture_size, preflight, receiving, resolve, target_objects
+from .promises import fulfilled
 from .textures import TextureWriter
 from .watch import unchanged
 from .writer import Writer
@@ -188,7 +189,7 @@ def _attempting(request: BakeRequest, said: list[Notice], names: dict[str, str])
         names.update(real.left_out)
         said[:] = [*real.fitting(notices), *real.notices, *_checked(real, request)]
         arrays, same = yield from _extracting(request, real)
-        said[:] = fulfilled(said, arrays, request)
+        said[:] = fulfilled(said, arrays, receiving(arrays, request))
         world = yield Aside("Building the tree of rays", once(lambda: SCENES.world(arrays)))
         same()
         found = yield from inspecting(world, request)

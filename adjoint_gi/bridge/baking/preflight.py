@@ -39,18 +39,12 @@ from ..results.attribute import NotOnMesh, check_attribute_target, name_taken
 from ..results.lightmap_uv import NAME, check_target, own_layer
 from ..results.show import unhidden
 from . import outputs
+from .promises import SEPARATE, fulfilled
 from .sides import planned, unfits
 from .watch import unchanged
 
 QUICK = 300_000  # triangles above which the panel's check does not extract the scene
 LEFT_OUT = ("and is left out", "so it is left out")  # words of the extraction for a whole object that is not there
-SEPARATE = "its result goes to an object of its own, as New Object does it"  # words about an attribute that the mesh cannot hold
-WILL_BE_MADE = (
-    SEPARATE,
-    "; one is made",
-    "; they are made anew",
-    "of the result gets a number",
-)  # words about what a bake does to an object that receives
 
 
 def preflight(context: bpy.types.Context, request: BakeRequest, thorough: bool = False) -> list[Notice]:
@@ -75,7 +69,7 @@ def preflighting(context: bpy.types.Context, request: BakeRequest, thorough: boo
         same()
         size = picture_size(context.scene, request)
         arrays = yield from extracting(size)
-        notices = fulfilled(notices, arrays, request)
+        notices = fulfilled(notices, arrays, receiving(arrays, request))
     finally:
         return_images()
     world = yield Aside("Building the tree of rays", once(lambda: SCENES.world(arrays)))
@@ -84,19 +78,6 @@ def preflighting(context: bpy.types.Context, request: BakeRequest, thorough: boo
     same()
     taken = outputs.problems(request, arrays, receiving(arrays, request), context.scene.name)
     return ordered([*notices, *found, *taken])
-
-
-def fulfilled(notices: list[Notice], arrays: SceneArrays, request: BakeRequest) -> list[Notice]:
-    """`notices` of `resolve` without what would be made for objects that turn out not to receive, which are told why elsewhere."""
-    uids = {arrays.objects[i].uid for i in receiving(arrays, request)}
-    able = {o.name for o in bpy.data.objects if o.session_uid in uids}
-    out = []
-    for n in notices:
-        if any(words in n.reason for words in WILL_BE_MADE):
-            out += [Notice(name, n.reason, n.remedy, n.severity) for name in n.names or (n.object,) if name in able]
-        else:
-            out.append(n)
-    return out
 
 
 def ordered(notices: list[Notice]) -> list[Notice]:
