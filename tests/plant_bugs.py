@@ -1455,20 +1455,6 @@ BUGS = (
         "tests/core/test_headers.py -k beyond",
     ),
     Bug(
-        "damaged images are opened",
-        "adjoint_gi/bridge/extract/images.py",
-        "return not header.danger",
-        "return True",
-        "tests/blender/test_extract_images.py -k cut_off",
-    ),
-    Bug(
-        "what the compositor wrote is read unseen",
-        "adjoint_gi/bridge/host/compositor.py",
-        "if header is None or header.danger:",
-        "if header is None:",
-        "tests/blender/test_denoise_bake.py -k not_written_whole",
-    ),
-    Bug(
         "muted shaders are shown by the result",
         "adjoint_gi/bridge/results/preview_material.py",
         "[node for node in tree.nodes if not node.mute]",
