@@ -9,7 +9,7 @@ import numpy as np
 
 from ..base.errors import Notice
 from ..base.settings import Settings
-from ..elements.answer import ElementAnswer
+from ..elements.answer import ElementAnswer, Parts
 from ..flux.detectors import Detector, FaceDetector, flux_by_potential
 from ..method.registry import Solver
 from ..receivers.base import Receivers
@@ -39,6 +39,10 @@ class PotentialRun(ElementRun):
         if not self.parts.any():
             reason = "are reached by nothing, so the potential is 0 everywhere"
             self.warnings += (Notice("Receivers", reason, "Check the camera's view or the chosen faces"),)
+
+    def _noise(self, parts: Parts) -> tuple[Notice, ...]:
+        """Nothing of light, which the potential is not."""
+        return ()
 
     @cached_property
     def _own(self) -> np.ndarray | None:
