@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 
 import bpy
 import numpy as np
@@ -14,7 +15,7 @@ from ...core.receivers.unwrap import Unwrapped, unwrapping
 from ...core.scene.world import World
 from ..host.notices import listed
 from ..props.request import BakeRequest
-from ..results import stored
+from ..results import carried, stored
 from ..results.faces import MeshFaces
 from ..results.lightmap_uv import duplicated, marked, outdated, own_layer, paddings
 from ..results.real import standing_for
@@ -98,12 +99,15 @@ def note(objects: Sequence[bpy.types.Object], request: BakeRequest, side: int) -
 def unfits(objects: Sequence[bpy.types.Object], request: BakeRequest, depsgraph: bpy.types.Depsgraph) -> dict[bpy.types.Object, str]:
     """Of each of `objects`, which are baked together: why the layer made by us does not fit, as words after its name, or nothing."""
     twice = duplicated(objects) if request.atlas else set()
-    return {obj: _unfit(obj, request, depsgraph) or (TWICE if obj in twice else "") for obj in objects}
+    edited = functools.cache(carried.edited)
+    return {obj: _unfit(obj, request, depsgraph, edited) or (TWICE if obj in twice else "") for obj in objects}
 
 
-def _unfit(obj: bpy.types.Object, request: BakeRequest, depsgraph: bpy.types.Depsgraph) -> str:
+def _unfit(
+    obj: bpy.types.Object, request: BakeRequest, depsgraph: bpy.types.Depsgraph, edited: Callable[[bpy.types.NodeTree], bool]
+) -> str:
     """Why the layer made by us for `obj` does not fit the object or `request`, as words after its name; empty where it does or is none."""
-    why = outdated(obj, depsgraph)
+    why = outdated(obj, depsgraph, edited)
     if why or not own_layer(obj) or (stored.read(marked(obj), stored.ASKED) or "/").split("/")[0] == asked(obj, request):
         return why
     return "has lightmap UVs of another density than is asked for"

@@ -17,7 +17,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -84,8 +84,8 @@ def holder(obj: bpy.types.Object) -> bpy.types.Object | None:
 
 def is_holder(obj: bpy.types.Object) -> bool:
     """Whether a bake has made `obj` to hold UVs, whatever a damaged file says: it is of vertices only, or these have places elsewhere."""
-    vertices_only = obj.type == "MESH" and (not obj.data.polygons or PLACE in obj.data.attributes)
-    return vertices_only and stored.read(obj, HOLDER) is not None
+    fits = obj.type == "MESH" and (not obj.data.polygons or PLACE in obj.data.attributes)
+    return fits and stored.read(obj, HOLDER) is not None
 
 
 def belongs_to(obj: bpy.types.Object) -> bool:
@@ -96,7 +96,13 @@ def belongs_to(obj: bpy.types.Object) -> bool:
     return not any(holder(other) == own for other in bpy.data.objects if other != obj and other.type == "MESH")
 
 
-def fault(obj: bpy.types.Object) -> str:
+def edited(tree: bpy.types.NodeTree) -> bool:
+    """Whether users have made another one of a node group of ours. Of many objects it is to be asked once: it takes over 1 ms."""
+    made = stored.read(tree, NODES) or ""
+    return made.split("/")[0] == version_text() and made != _print(tree)
+
+
+def fault(obj: bpy.types.Object, edited: Callable[[bpy.types.NodeTree], bool] = edited) -> str:
     """What users have done to our modifier of `obj` so that it does not carry its layer, as words after the object's name, or nothing.
 
     `carry` puts all of that right.
@@ -106,8 +112,7 @@ def fault(obj: bpy.types.Object) -> str:
         return ""
     if not modifier.show_viewport:
         return f'has lightmap UVs whose modifier "{modifier.name}" is off in the viewport, which is turned on'
-    made = stored.read(modifier.node_group, NODES) or ""
-    if made.split("/")[0] == version_text() and made != _print(modifier.node_group):
+    if edited(modifier.node_group):
         return f'has lightmap UVs whose node group "{modifier.node_group.name}" was edited, which is put right'
     return "has lost the hidden object that held its lightmap UVs" if holder(obj) is None else ""
 
@@ -144,10 +149,10 @@ def subdivided(obj: bpy.types.Object, count: int, view_layer: bpy.types.ViewLaye
         evaluated.to_mesh_clear()
 
 
-def carry(obj: bpy.types.Object, name: str, held: CarriedUvs) -> None:
+def carry(obj: bpy.types.Object, name: str, held: CarriedUvs, tree: bpy.types.NodeTree | None = None) -> None:
     """Have `obj` carry what is `held` of the corners of its evaluated mesh at our `stage`, as a UV map called `name`.
 
-    What it carried before is replaced.
+    What it carried before is replaced. tree: what `node_group` has given, by which many objects get theirs sooner.
     """
     modifier, old = carrier(obj), holder(obj)
     own = old if belongs_to(obj) else None
@@ -158,7 +163,7 @@ def carry(obj: bpy.types.Object, name: str, held: CarriedUvs) -> None:
     if modifier is None:
         modifier = obj.modifiers.new(GROUP, "NODES")
         modifier.show_expanded = False
-    before, tree = modifier.node_group, node_group()
+    before, tree = modifier.node_group, tree or node_group()
     modifier.show_viewport = modifier.show_render = True
     modifier.node_group = tree
     set_modifier_input(modifier, "UVs", own)

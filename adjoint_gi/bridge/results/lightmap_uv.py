@@ -11,6 +11,7 @@ the mesh's arrays (`core.receivers.unwrap`) and written in one go. It is the sam
 from __future__ import annotations
 
 import contextlib
+import functools
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence, Set
@@ -73,7 +74,7 @@ def layer_values(obj: bpy.types.Object, name: str) -> np.ndarray | None:
     return out
 
 
-def outdated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> str:
+def outdated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, edited: Callable[[bpy.types.NodeTree], bool] = carried.edited) -> str:
     """Why the layer made by us does not fit `obj` any more, as the words after its name; empty where it does, or where there is none."""
     if carried.carrier(obj) is None:
         if not _on_mesh(obj.data):
@@ -84,7 +85,7 @@ def outdated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> str:
         return "has got other faces since its lightmap UVs were made" if (stored.read(obj.data, FACES) or now) != now else ""
     if not carried.must_carry(obj) and _room(obj):
         return "has lost the modifiers that its lightmap UVs were made for"
-    if fault := carried.fault(obj):
+    if fault := carried.fault(obj, edited):
         return fault
     if not carried.belongs_to(obj):
         return "is a copy and has the lightmap UVs of its original"
@@ -165,7 +166,7 @@ def write_plan(plan: UvPlan, unwrapped: Unwrapped, uvs: Sequence[np.ndarray], na
 
     Raises TargetError where a layer cannot be added.
     """
-    carrying = {obj for obj, carry in zip(plan.objects, plan.carried, strict=True) if carry}
+    carrying, tree = {obj for obj, carry in zip(plan.objects, plan.carried, strict=True) if carry}, functools.cache(carried.node_group)
     with contextlib.ExitStack() as back:
         for obj in plan.objects:
             back.callback(_snapshot(obj))
@@ -173,7 +174,7 @@ def write_plan(plan: UvPlan, unwrapped: Unwrapped, uvs: Sequence[np.ndarray], na
             if plan.carried[k]:
                 mine = _on_mesh(obj.data)
                 taken = plan.names[k] - {mine} if _remove_from_mesh(obj, carrying) else plan.names[k]
-                carried.carry(obj, _free(obj, name, taken), carried.CarriedUvs(uv, plan.vertices[k], *plan.shapes[k]))
+                carried.carry(obj, _free(obj, name, taken), carried.CarriedUvs(uv, plan.vertices[k], *plan.shapes[k]), tree())
             else:
                 carried.drop(obj)
                 _write_layer(obj, name, uv)
