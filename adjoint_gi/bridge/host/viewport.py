@@ -31,9 +31,11 @@ def node_trees(host: bpy.types.Object) -> Iterator[bpy.types.NodeTree]:
 
 
 def differences(obj: bpy.types.Object, scene: bpy.types.Scene) -> list[str]:
-    """What makes the modifiers of `obj` (original) give a render another mesh: words for each; of node groups made by us nothing."""
-    found = [text for modifier in obj.modifiers for text in _modifier(modifier, scene)]
-    if any(node.bl_idname == "GeometryNodeIsViewport" for tree in node_trees(obj) for node in tree.nodes if MADE_BY_US not in tree):
+    """What makes the modifiers of `obj` (original) give a render another mesh: words for each. Node groups made by us do not."""
+    ours = [tree for tree in node_trees(obj) if MADE_BY_US in tree]
+    theirs = [m for m in obj.modifiers if m.type != "NODES" or m.node_group not in ours]
+    found = [text for modifier in theirs for text in _modifier(modifier, scene)]
+    if any(node.bl_idname == "GeometryNodeIsViewport" for tree in node_trees(obj) if tree not in ours for node in tree.nodes):
         found.append("geometry nodes that ask whether this is the viewport")
     return found
 
