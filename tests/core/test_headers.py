@@ -245,6 +245,19 @@ def test_an_exr_without_all_of_its_chunks_is_damaged(kind):
             assert header_of_bytes(bytes(data)).danger == "a chunk is cut off", (k, stated)
 
 
+@pytest.mark.parametrize("kind", [kind for kind in MANY if kind.startswith("lines")])
+def test_a_table_of_zeros_leaves_the_chunks_to_be_looked_for(kind):
+    """As in the float images that Blender 5.2 packs; cut off they are damaged all the same."""
+    whole, places, at = tables(kind)
+    whole[at : at + 8 * len(places)] = bytes(8 * len(places))
+    assert header_of_bytes(bytes(whole)).danger == ""
+    assert all((found := header_of_bytes(bytes(whole[:end]))) is None or found.danger for end in range(len(whole)))
+    for k, stated in ((0, len(whole)), (len(places) - 1, 0xFFFFFFFF), (len(places) // 2, 0x7FFFFFFF)):
+        data = whole[:]
+        struct.pack_into("<I", data, places[k] + 4, stated)
+        assert header_of_bytes(bytes(data)).danger == "a chunk is cut off", (k, stated)
+
+
 def test_chunks_that_are_not_where_the_table_says_are_damage():
     whole, places, at = tables("lines")
     struct.pack_into("<QQ", whole, at, places[1], places[0])

@@ -91,6 +91,8 @@ def danger(file: BinaryIO, parts: list[PartHeader], several: bool) -> str:
     first = table + 8 * sum(counts)
     if first > end:
         return "its table of chunks is cut off"
+    if not several and not parts[0].tiled and not parts[0].deep and not any(_offsets(file, table, counts[0])):
+        return _in_a_row(file, parts[0], counts[0], first, end)
     for number, (part, count) in enumerate(zip(parts, counts, strict=True)):
         for k, offset in enumerate(_offsets(file, table, count)):
             problem = _chunk(file, number if several else None, part, k, offset, first, end)
@@ -105,6 +107,19 @@ def _offsets(file: BinaryIO, table: int, count: int) -> Iterator[int]:
     for begin in range(0, count, BLOCK):
         file.seek(table + 8 * begin)
         yield from np.frombuffer(file.read(8 * min(BLOCK, count - begin)), "<u8").tolist()
+
+
+def _in_a_row(file: BinaryIO, part: PartHeader, count: int, first: int, end: int) -> str:
+    """What is wrong with `count` chunks of lines that follow one another from `first`, where the table says nothing: so Blender 5.2 packs
+    float images, and readers look for the chunks themselves."""
+    at = first
+    for k in range(count):
+        problem = _chunk(file, None, part, k, at, first, end)
+        if problem:
+            return problem
+        file.seek(at + 4)  # behind its place
+        at += 8 + struct.unpack("<i", file.read(4))[0]
+    return ""
 
 
 def _chunk(file: BinaryIO, number: int | None, part: PartHeader, k: int, offset: int, first: int, end: int) -> str:
