@@ -105,15 +105,20 @@ class Seen(bpy.types.RenderEngine):
         Seen.lightmap = raster(list(meshes.values()))
 
 
+def render_by(engine, scene):
+    """Render a few pixels of `scene` by `engine`, a class that notes what it is given."""
+    bpy.utils.register_class(engine)
+    try:
+        scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = engine.bl_idname, 8, 8
+        bpy.ops.render.render()
+    finally:
+        bpy.utils.unregister_class(engine)
+
+
 def test_a_render_has_the_layers_also_where_it_subdivides_more():
     scene = room.build()
     bake(request(**BUILT))
-    bpy.utils.register_class(Seen)
-    try:
-        scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = Seen.bl_idname, 8, 8
-        bpy.ops.render.render()
-    finally:
-        bpy.utils.unregister_class(Seen)
+    render_by(Seen, scene)
     assert set(Seen.faces) == set(room.MODELLED) and Seen.faces["Plant"] == 4 * len(evaluated(bpy.data.objects["Plant"]).polygons)
     assert Seen.lightmap.overlapping == 0 and Seen.lightmap.no_area == 0 and Seen.lightmap.outside == 0
 
@@ -174,12 +179,7 @@ def test_a_render_with_other_faces_has_the_texels_of_the_places_it_shows(differs
     (center, normal, place, reach), scene = middles(evaluated(obj)), bpy.context.scene
     assert fits(obj) == "" and len(carried.carried(obj).triangles) == 2 * len(center)
     scene.camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    bpy.utils.register_class(Places)
-    try:
-        scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = Places.bl_idname, 8, 8
-        bpy.ops.render.render()
-    finally:
-        bpy.utils.unregister_class(Places)
+    render_by(Places, scene)
     centers, normals, places, reaches = Places.found
     assert len(centers) != len(center)
     nearest = np.linalg.norm(places[:, None] - place, axis=2).argmin(axis=1)
