@@ -42,6 +42,7 @@ from ..adjoint_gi.core.two_pass.extended_factors import ExtendedShots
 from ..adjoint_gi.core.two_pass.known_light import KnownLight
 from ..adjoint_gi.core.two_pass.outside_light import OutsideLight
 from ..adjoint_gi.core.two_pass.view_pass import View, estimator
+from ..adjoint_gi.core.walks import unmet_lamps
 from ..adjoint_gi.core.walks.gathering import SAMPLES_PER_BATCH, Run
 from ..adjoint_gi.core.walks.mirror_chains import Chains
 from ..adjoint_gi.core.walks.paths import Walk
@@ -115,7 +116,8 @@ class MultiPass(Solver):
     def solve(self, world: World, receivers: Receivers, settings: MultiPassSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every group of shots, then about ten times a second."""
         emitters = Emitters(world)
-        run = Run(self.spec, world, receivers, settings, emitters)
+        rare = unmet_lamps.notices(emitters, settings.samples, measure=receivers.measure, by_particles=True)
+        run = Run(self.spec, world, receivers, settings, emitters, rare)
         passes = MultiPassRun(run, elements_for(world, receivers, settings.max_edge, self.spec.elements), emitters)
 
         # 1. B = E + rho F B (Eq. 11), shot (Eq. 13): progressive radiosity.

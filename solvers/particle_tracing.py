@@ -30,6 +30,7 @@ from ..adjoint_gi.core.base.parallel import in_order, thread_count
 from ..adjoint_gi.core.base.settings import choice
 from ..adjoint_gi.core.bsdf.lobes import ALL_LOBES
 from ..adjoint_gi.core.bsdf.table import LOBE_KINDS, BsdfTable
+from ..adjoint_gi.core.elements import closeness
 from ..adjoint_gi.core.elements.answer import elements_for
 from ..adjoint_gi.core.flux.tally import Batch, ElementScore, ReceiverScore, Tally
 from ..adjoint_gi.core.lights.emission import Emission
@@ -134,6 +135,7 @@ class ParticleTracing(Solver):
                     )
         if at_receivers(receivers, settings):
             shot.warnings += empty_notices(self.spec.label, shot.tally)
+        shot.warnings += shot.close_notices()
         shot.left_out = path_limit.left_out(shot.tally.ends.tail, shot.tally.ends.arrived)
         shot.warnings += path_limit.notices(shot.left_out, settings.max_length)
         error = shot.clock.history[-1][1] if shot.clock.history else None
@@ -183,6 +185,16 @@ class ParticleRun:
         lights = [np.bincount(particles.light, particles.weight[:, c], len(self.emission.names)) for c in range(3)]
         area = self.score.area(count, rng)
         return Batch(count, self.score.power(first), self.score.power(later), area, np.stack(lights, axis=1), ends)
+
+    def close_notices(self) -> tuple[Notice, ...]:
+        """Lights that are closer to surfaces than what counts particles there is wide: its noise does not know how it blurs them."""
+        sources = self.emission.mesh.sources() + self.emission.lamps.sources()
+        close = closeness.spots(self.world, sources, lambda *at: (self.score.width(*at), 1.0))
+        if at_receivers(self.receivers, self.settings):
+            wide, remedy = "the kernels that count particles are wide", "Set Radius (radius) to {closest} m or less"
+        else:
+            wide, remedy = "the elements that count particles are wide", "Set Max Element Edge (max_edge) to {closest} m or less"
+        return closeness.told(close, wide, "blurred", remedy + " and send more particles, or take Path Tracing, which needs none")
 
     def solution(self) -> Solution:
         """The result as it stands: power over area is irradiance. The clock adds the seconds and the history."""

@@ -960,8 +960,8 @@ BUGS = (
     Bug(
         "lamps beside walls are not close to them",
         "adjoint_gi/core/elements/closeness.py",
-        "np.concatenate([part, spots.close])",
-        "np.concatenate([part, 0 * spots.close])",
+        "np.concatenate([part, lit.close])",
+        "np.concatenate([part, 0 * lit.close])",
         "tests/core/test_said_of_results.py -k beside",
     ),
     Bug(
@@ -2776,6 +2776,27 @@ BUGS = (
         "        if texels.max() <= MOST * texels.sum():",
         "        if texels.max() >= 0:",
         "tests/core/test_density.py -k open",
+    ),
+    Bug(
+        "light by way of nearly smooth surfaces counts as found",
+        "adjoint_gi/core/walks/mirror_chains.py",
+        "np.where(on.delta, np.float32(0), 1 / np.maximum(on.pdf_w, np.float32(1e-6)))",
+        "np.where(on.delta, np.float32(0), 1)",
+        "tests/methods/test_unmet_lamps.py -k nearly",
+    ),
+    Bug(
+        "multi-pass counts as finding panels by way of mirrors",
+        "adjoint_gi/core/walks/unmet_lamps.py",
+        "(by_particles and isinstance(s.kind, LampKind))",
+        "by_particles",
+        "tests/methods/test_unmet_lamps.py -k multi_pass",
+    ),
+    Bug(
+        "particle tracing is silent about lights that its kernels blur",
+        "adjoint_gi/core/flux/tally.py",
+        "2 * self.density.radius[owner], 0.0)",
+        "0 * self.density.radius[owner], 0.0)",
+        "tests/core/test_said_of_results.py -k kernels",
     ),
 )
 

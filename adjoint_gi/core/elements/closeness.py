@@ -8,14 +8,17 @@ elements they meet.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..base.errors import Notice
+from ..lights.base import ParticleSource
 from ..lights.emission import Emission
 from ..lights.lamps import Lamps
 from ..scene.arrays import RayKind
+from ..scene.world import World
 from .elements import Elements
 from .rays import ElementRays
 
@@ -54,50 +57,70 @@ def close_light(elements: Elements, flux: np.ndarray) -> tuple[np.ndarray, np.nd
 
 @dataclass(frozen=True, eq=False)
 class Spots:
-    """What surfaces reflect straight from lamps that have a place: `reflected` of all, and by lamp: names, `close` (k,) of it, where lamps
-    are closer than elements are wide, both W, and the least distance (k,) there, inf where there is none."""
+    """What surfaces get, or reflect, straight from lights that have a place: `total` of it, and by light: names, `close` (k,) of it, where
+    lights are closer than what counts it is wide, both W, and the least distance (k,) there, inf where there is none."""
 
     names: tuple[str, ...]
     close: np.ndarray
     nearest: np.ndarray
-    reflected: float
+    total: float
 
 
-def lamp_spots(elements: Elements, lamps: Lamps) -> Spots:
-    """By particles, always the same."""
-    sources = [s for s in lamps.sources() if not s.kind.far]
+# At barycentrics (m,) of triangles: (m,) how wide what counts light there is, m, and (m, 3) or 1, what share of it counts.
+Counting = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray | float]]
+
+
+def spots(world: World, sources: list[ParticleSource], counting: Counting) -> Spots:
+    """Of `sources`, by particles, always the same."""
+    sources = [s for s in sources if not s.kind.far]
     if not sources:
         return Spots((), np.zeros(0), np.zeros(0), 0.0)
-    world = elements.world
     emission = Emission(world, sources)
     p = emission.draw(PARTICLES, np.random.default_rng(0))
     triangle, u, v, t = world.intersect(p.origin, p.direction, p.kind)
     met = np.flatnonzero((triangle >= 0) & (t >= p.dark))
-    element = elements.locate(triangle[met], u[met], v[met])
-    sent = (p.weight[met] * elements.albedo[element]).sum(axis=1)
-    near = (t[met] < CLOSE * np.sqrt(elements.area[element])) & (sent > 0)
+    width, share = counting(triangle[met], u[met], v[met])
+    sent = (p.weight[met] * share).sum(axis=1)
+    near = (t[met] < CLOSE * width) & (sent > 0)
     nearest = np.full(len(sources), np.inf)
     np.minimum.at(nearest, p.light[met[near]], t[met[near]])
     close = np.bincount(p.light[met[near]], sent[near], len(sources))
     return Spots(emission.names, close, nearest, float(sent.sum()))
 
 
+def lamp_spots(elements: Elements, lamps: Lamps) -> Spots:
+    """What surfaces reflect straight from lamps, counted by elements."""
+
+    def counting(*at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        element = elements.locate(*at)
+        return np.sqrt(elements.area[element]), elements.albedo[element]
+
+    return spots(elements.world, lamps.sources(), counting)
+
+
 def notices(elements: Elements, flux: np.ndarray, lamps: Lamps) -> tuple[Notice, ...]:
     """Says which objects and lamps send light to surfaces too close for their elements, where that is much of the light."""
     part, nearest = close_light(elements, flux)
-    spots = lamp_spots(elements, lamps)
+    lit = lamp_spots(elements, lamps)
     # Points of elements that look at the lamps may miss such a spot: then particles know better how much there is.
     emitted = float((2 * elements.area * elements.emitted.sum(axis=1)).sum())
-    total = max(float(flux.sum()), emitted + spots.reflected)
-    part, nearest = np.concatenate([part, spots.close]), np.concatenate([nearest, spots.nearest])
-    if total <= 0 or part.sum() < TOLD * total:
+    total = max(float(flux.sum()), emitted + lit.total)
+    names = tuple(x.name for x in elements.world.scene.objects) + lit.names
+    found = Spots(names, np.concatenate([part, lit.close]), np.concatenate([nearest, lit.nearest]), total)
+    remedy = "Set Max Element Edge (max_edge) to {closest} m or less, or take Path Tracing, which has no elements"
+    return told(found, "elements are wide", "wrong", remedy)
+
+
+def told(found: Spots, wide: str, how: str, remedy: str) -> tuple[Notice, ...]:
+    """Names the lights, where what is close is worth a notice. wide: what they are closer than. how: light is there. remedy: what helps, at
+    "{closest}" m."""
+    part, nearest = found.close, found.nearest
+    if found.total <= 0 or part.sum() < TOLD * found.total:
         return ()
     most = np.argsort(-part, kind="stable")[: int((part > 0).sum())]
-    every = [x.name for x in elements.world.scene.objects] + list(spots.names)
-    names = tuple(every[i] for i in most)
+    names = tuple(found.names[i] for i in most)
     listed = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
     closest = float(nearest[most].min())
-    share = f"{min(part.sum() / total, 1.0):.0%}"
-    reason = f"lights surfaces {closest:.2g} m away, closer than elements are wide: {share} of the light begins so, and is wrong there"
-    remedy = f"Set Max Element Edge (max_edge) to {closest:.1g} m or less, or take Path Tracing, which has no elements"
-    return (Notice(listed, reason, remedy, names=names),)
+    share = f"{min(part.sum() / found.total, 1.0):.0%}"
+    reason = f"lights surfaces {closest:.2g} m away, closer than {wide}: {share} of the light begins so, and is {how} there"
+    return (Notice(listed, reason, remedy.format(closest=f"{closest:.1g}"), names=names),)

@@ -42,6 +42,10 @@ class ElementScore:
         self._area = np.repeat(elements.area, 2)
         self._answer = ElementAnswer(elements, receivers, None, settings.min_length, settings.max_length)
 
+    def width(self, *at: np.ndarray) -> np.ndarray:
+        """(m,) of what counts particles at barycentrics (m,) of triangles, m: two elements, between which the answer is interpolated."""
+        return 2 * np.sqrt(self.elements.area[self.elements.locate(*at)])
+
     def prepare(self) -> Iterator[float]:
         """Find where the receivers lie; yields the share done."""
         return self._answer.prepare()
@@ -82,6 +86,11 @@ class ReceiverScore:
         self._emits = settings.min_length == 0
         none = np.zeros((receivers.count, 3), np.float32)
         self._surfaces = {"emission": none, "albedo": none}
+
+    def width(self, triangle: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(m,) of what counts particles at barycentrics (m,) of triangles, m; 0 where nothing does."""
+        owner = self.world.scene.object[triangle]
+        return np.where(self.density.receives[owner], 2 * self.density.radius[owner], 0.0)
 
     def prepare(self) -> Iterator[float]:
         """Read albedo and emission of the receivers; yields the share done."""

@@ -31,6 +31,7 @@ class Met:
     share      (m, 1) or (m, 3) float32 of that which coats let through to the diffuse lobe, 1 where there are none
     sent       (m, 3) float32 weight that goes on from there; scattered: the part of it that does so by a lobe, not straight through
     clear      (m,) bool: the first surface on the way was left by a perfectly smooth lobe, so that no light point finds this chain
+    solid      (m,) float32 sr: how far the lobes on the way spread the ray, as the solid angles that have their densities; 0 by smooth ones
     away, lost (k,), (k, 3): rays that escape, and their weight
     """
 
@@ -42,15 +43,17 @@ class Met:
     sent: np.ndarray
     scattered: np.ndarray
     clear: np.ndarray
+    solid: np.ndarray
     away: np.ndarray
     lost: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class Mirrored(Departed):
-    """Rays that go on; delta (k,) bool: by a perfectly smooth lobe."""
+    """Rays that go on; delta (k,) bool: by a perfectly smooth lobe; pdf_w (k,) float32 of the others."""
 
     delta: np.ndarray
+    pdf_w: np.ndarray
 
 
 class Chains:
@@ -86,16 +89,18 @@ class Chains:
         What is hit closer than `dark` (n,) on the first segment counts as escaped.
         """
         flight = Flight(origin, wi, kind, np.ones((len(origin), 3), np.float32))
-        clear = np.ones(len(origin), bool)
+        clear, solid = np.ones(len(origin), bool), np.zeros(len(origin), np.float32)
         for segment in shoot(self.world, flight, self.depth + 1, self._scatter, rng, dark):
             row, at, on = segment.row, segment.arrived, segment.scattered
             scattered = np.zeros_like(at.weight)
             scattered[on.rows] = on.flight.weight
             sent = scattered if segment.passed is None else scattered + segment.passed
             share = self.share(at.surface, -at.direction)
-            yield Met(at.segments, row, at.surface, at.weight, share, sent, scattered, clear[row], segment.away, segment.lost)
+            before = clear[row], solid[row]
+            yield Met(at.segments, row, at.surface, at.weight, share, sent, scattered, *before, segment.away, segment.lost)
             if at.segments == 1:
                 clear[row[on.rows]] = on.delta
+            solid[row[on.rows]] += np.where(on.delta, np.float32(0), 1 / np.maximum(on.pdf_w, np.float32(1e-6)))
 
     def _scatter(self, at: Arrived, rng: np.random.Generator) -> Mirrored:
         """One ray by the lobes that are not diffuse, from the surfaces that have any."""
@@ -118,4 +123,4 @@ class Chains:
             go, weight = go[survive], weight[survive] / chance[:, None]
         origin = np.ascontiguousarray(self.world.leave(surface.take(go), drawn.through[go]))
         flight = Flight(origin, np.ascontiguousarray(drawn.wi[go]), drawn.kind[go], weight)
-        return Mirrored(rows[go], flight, drawn.delta[go])
+        return Mirrored(rows[go], flight, drawn.delta[go], drawn.pdf_w[go])

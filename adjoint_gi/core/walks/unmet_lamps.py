@@ -1,7 +1,9 @@
-"""Light that walks from receivers never or hardly ever find: by way of perfectly smooth surfaces, from lamps that few rays or none meet.
+"""Light that walks from receivers never or hardly ever find: by way of smooth or nearly smooth surfaces, from lamps that few rays or none
+meet.
 
 A light point is drawn for a surface that scatters, and a ray by a mirror goes on in one direction, which a lamp without size is never in
-and a small lamp hardly ever: such a path is found only where a ray by the cosine happens to lead to the lamp.
+and a small lamp hardly ever: such a path is found only where a ray by the cosine happens to lead to the lamp. By a nearly smooth surface
+it may lead past it, as far as the lobe is wide. Samples that hardly ever find a light do not know how noisy it is, either.
 What is missing is measured by particles, and named only where it matters.
 """
 
@@ -25,35 +27,38 @@ from .mirror_chains import Chains
 PARTICLES = 1 << 13
 DEPTH = 8  # surfaces on the way that are followed
 LEAST = 0.01  # share of the light of these lamps below which nothing is said
-FEW = 1.0  # paths of one receiver that meet a lamp, on average, from which the noise shows that it is found
+FEW = 0.1  # paths of one receiver that meet a lamp, on average, from which the noise shows that it is found
 NAMES = 3
 _KINDS = {kind.name: kind for kind in LOBES}
-REMEDY = "Use Particle Tracing or Progressive Multi-Pass"
+SHOOT = "Use Particle Tracing or Progressive Multi-Pass"
+READ = "Use Particle Tracing or Two-Pass"
 
 
-def notices(emitters: Emitters, paths: float = math.inf, sized: bool = False, measure: str = "radiance") -> tuple[Notice, ...]:
+def notices(
+    emitters: Emitters, paths: float = math.inf, sized: bool = False, measure: str = "radiance", by_particles: bool = False
+) -> tuple[Notice, ...]:
     """Up to two notices, of lamps without and with a size: the share of the light that is missing, the lamps, the surfaces it comes by.
 
-    paths: from one receiver, over which lamps with a size count as found where at least `FEW` meet them. sized: lamps with a size are
-    not found at all, and named with the others. measure: what is asked for; irradiance is what black surfaces get
-    like others.
+    paths: from one receiver, over which lamps with a size, and all by nearly smooth surfaces, count as found where at least `FEW` meet
+    them. sized: lamps with a size are not found at all, and named with the others. measure: what is asked for; irradiance is what black
+    surfaces get like others. by_particles: the light of lamps by way of perfectly smooth surfaces is found otherwise.
     """
     world, lamps = emitters.world, emitters.lamps
     chains = Chains(world, DEPTH)
     if not chains.any:
         return ()
-    points = [lamps.source(i) for i in range(lamps.count) if sized or not lamps.sized[i]]
-    unmet = chance_light(emitters, chains, points, irradiance=measure == "irradiance")
-    out = []
+    irradiance, out = measure == "irradiance", []
+    points = [] if by_particles else [lamps.source(i) for i in range(lamps.count) if sized or not lamps.sized[i]]
+    unmet = chance_light(emitters, chains, points, irradiance=irradiance)
     if unmet is not None and unmet.share >= LEAST:
         what = "is not found by this method" if sized else "is missing: a lamp without size cannot be met there"
-        out.append(unmet.notice(what, REMEDY + ("" if sized else ", or give the lamp a size")))
+        out.append(unmet.notice(what, SHOOT + ("" if sized else ", or give the lamp a size")))
     if paths < math.inf and not sized:
-        bodies = [lamps.source(i) for i in range(lamps.count) if lamps.sized[i]] + MeshLights(world).sources()
-        rare = chance_light(emitters, chains, bodies, paths, measure == "irradiance")
+        sources = [lamps.source(i) for i in range(lamps.count)] + MeshLights(world).sources()
+        rare = chance_light(emitters, chains, sources, paths, irradiance, by_particles)
         if rare is not None and rare.share >= LEAST:
             what = f"is found by luck alone: of {paths:,.0f} paths from a place {paths * rare.chance:.1g} meet the light there"
-            out.append(rare.notice(what, REMEDY + ", or make the light larger"))
+            out.append(rare.notice(what, READ + ", or make the light larger or the surface rougher"))
     return tuple(out)
 
 
@@ -74,9 +79,15 @@ class ChanceLight:
 
 
 def chance_light(
-    emitters: Emitters, chains: Chains, sources: list[ParticleSource], paths: float = 0.0, irradiance: bool = False
+    emitters: Emitters,
+    chains: Chains,
+    sources: list[ParticleSource],
+    paths: float | None = None,
+    irradiance: bool = False,
+    by_particles: bool = False,
 ) -> ChanceLight | None:
-    """Light of `sources` that only rays by the cosine find, and fewer than `FEW` of `paths` of them; None where there is none.
+    """Light of `sources` by way of smooth surfaces; None where there is none. With `paths` that which fewer than `FEW` of them find, by way
+    of rough surfaces, too, but not what is missing or, with `by_particles`, found otherwise: that of lamps by way of smooth ones.
 
     What counts is light that the diffuse lobe of a surface gets; with `irradiance` what its surface gets, whatever it makes of that.
     """
@@ -88,40 +99,43 @@ def chance_light(
     rng = np.random.default_rng(0)
     p = emission.draw(PARTICLES, rng)
     power, owner = p.weight.sum(axis=1), np.asarray(world.scene.object)
-    first, missing, met_by = np.zeros(PARTICLES, np.int64), np.zeros(PARTICLES), np.zeros(PARTICLES)
+    first, missing, met_by, near = np.zeros(PARTICLES, np.int64), *np.zeros((3, PARTICLES))
     entered, ends = np.zeros(len(sources)), _opaque(world)
-    last, flown = p.origin.astype(np.float64), np.zeros(PARTICLES)
+    last, flown, far = p.origin.astype(np.float64), np.zeros(PARTICLES), np.array([s.kind.far for s in sources])[p.light]
+    known = [not s.kind.sized or (by_particles and isinstance(s.kind, LampKind)) for s in sources]
+    known = np.array(known)[p.light]
     for met in chains.follow(p.origin, p.direction, p.kind, rng, p.dark):
         s, row = met.surface, met.row
         step = s.position - last[row]
         length = np.linalg.norm(step, axis=1)
         last[row], flown[row] = s.position, flown[row] + length
         if met.segments == 1:
-            first[row] = owner[s.triangle]
+            first[row], near[row] = owner[s.triangle], length
             entered = np.bincount(p.light[row], power[row], len(sources))
             continue
         counts = chains.diffuse(s.triangle, s.u, s.v).max(axis=1) > 0
         if irradiance:
             counts |= ends[s.triangle]
+        counts &= met.clear if paths is None else ~(met.clear & known[row])
         share = np.ones_like(met.share) if irradiance else met.share
-        found = (p.weight[row] * met.weight * share).sum(axis=1) * (met.clear & counts)
-        missing[row] += found
-        # The chance of a ray by the cosine, from here back along the same surfaces, to meet the lamp in its image.
+        found = (p.weight[row] * met.weight * share).sum(axis=1) * counts
+        # The chance of a ray by the cosine, from here back along the same surfaces, to meet the lamp in its image, or a lobe that does.
         cosine = np.abs(np.einsum("ij,ij->i", step, s.ns)) / np.maximum(length, 1e-12)
         image = p.origin[row] + p.direction[row] * flown[row, None]
-        reached = np.minimum(cosine / np.pi * solid_angles(sources, p.light[row], image, flown[row]), 1)
-        met_by[row] += found * reached * np.minimum(met.weight.mean(axis=1), 1)
-    # Lamps of which enough paths meet are found: their light is noisy at worst, and noise is measured.
-    chance = np.bincount(p.light, met_by, len(sources)) / np.maximum(np.bincount(p.light, missing, len(sources)), 1e-300)
-    lost = paths * chance < FEW
-    missing *= lost[p.light]
-    total, entered = float(missing.sum()), float(entered[lost].sum())
-    if total <= 0 or entered <= 0:
+        wide = met.solid * np.where(far[row], 1, near[row] / np.maximum(flown[row], 1e-12)) ** 2
+        reached = np.minimum(cosine / np.pi * (solid_angles(sources, p.light[row], image, flown[row]) + wide), 1)
+        reached *= np.minimum(met.weight.mean(axis=1), 1)
+        # Where enough paths meet the light it is found: it is noisy at worst, and noise is measured.
+        found *= (paths or 0) * reached < FEW
+        missing[row] += found
+        met_by[row] += found * reached
+    total = float(missing.sum())
+    if total <= 0:
         return None
     by_object = np.bincount(first, missing, len(world.scene.objects))
     via = [world.scene.objects[i].source for i in np.argsort(-by_object, kind="stable") if by_object[i] > LEAST * by_object.sum()]
-    names = [emission.names[i] for i in np.unique(p.light[missing > 0])]
-    return ChanceLight(total / entered, float((met_by * lost[p.light]).sum()) / total, names, via)
+    lights = np.unique(p.light[missing > 0])
+    return ChanceLight(total / float(entered[lights].sum()), float(met_by.sum()) / total, [emission.names[i] for i in lights], via)
 
 
 def solid_angles(sources: list[ParticleSource], light: np.ndarray, at: np.ndarray, distance: np.ndarray) -> np.ndarray:
