@@ -193,7 +193,7 @@ class ParticleRun:
         if at_receivers(self.receivers, self.settings):
             wide, remedy = "the kernels that count particles are wide", "Set Radius (radius) to {closest} m or less"
         else:
-            wide, remedy = "the elements that count particles are wide", "Set Max Element Edge (max_edge) to {closest} m or less"
+            wide, remedy = "two of the elements that count particles are wide", "Set Max Element Edge (max_edge) to {closest} m or less"
         return closeness.told(close, wide, "blurred", remedy + " and send more particles, or take Path Tracing, which needs none")
 
     def solution(self) -> Solution:

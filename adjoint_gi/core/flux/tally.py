@@ -43,8 +43,8 @@ class ElementScore:
         self._answer = ElementAnswer(elements, receivers, None, settings.min_length, settings.max_length)
 
     def width(self, *at: np.ndarray) -> np.ndarray:
-        """(m,) of what counts particles at barycentrics (m,) of triangles, m: two elements, between which the answer is interpolated."""
-        return 2 * np.sqrt(self.elements.area[self.elements.locate(*at)])
+        """(m,) of what counts particles at barycentrics (m,) of triangles, m: four elements, as the answer is interpolated between them."""
+        return 4 * np.sqrt(self.elements.area[self.elements.locate(*at)])
 
     def prepare(self) -> Iterator[float]:
         """Find where the receivers lie; yields the share done."""
