@@ -116,7 +116,7 @@ class MultiPass(Solver):
     def solve(self, world: World, receivers: Receivers, settings: MultiPassSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every group of shots, then about ten times a second."""
         emitters = Emitters(world)
-        rare = unmet_lamps.notices(emitters, settings.samples, measure=receivers.measure, by_particles=True)
+        rare = unmet_lamps.notices(emitters, settings.samples, measure=receivers.measure, by_particles=True, longest=settings.max_length)
         run = Run(self.spec, world, receivers, settings, emitters, rare)
         passes = MultiPassRun(run, elements_for(world, receivers, settings.max_edge, self.spec.elements), emitters)
 

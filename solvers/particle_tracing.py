@@ -188,13 +188,14 @@ class ParticleRun:
 
     def close_notices(self) -> tuple[Notice, ...]:
         """Lights that are closer to surfaces than what counts particles there is wide: its noise does not know how it blurs them."""
-        sources = self.emission.mesh.sources() + self.emission.lamps.sources()
+        e = self.emission
+        sources = e.mesh.sources() + e.lamps.sources() + e.background.sources()
         close = closeness.spots(self.world, sources, lambda *at: (self.score.width(*at), 1.0))
         if at_receivers(self.receivers, self.settings):
-            wide, remedy = "the kernels that count particles are wide", "Set Radius (radius) to {closest} m or less"
+            words = "the kernels that count particles are wide", "blurred", "Radius (radius)"
         else:
-            wide, remedy = "two of the elements that count particles are wide", "Set Max Element Edge (max_edge) to {closest} m or less"
-        return closeness.told(close, wide, "blurred", remedy + " and send more particles, or take Path Tracing, which needs none")
+            words = "two of the elements that count particles are wide", "blurred", "Max Element Edge (max_edge)"
+        return closeness.told(self.world, close, *words, 0.4, "which needs none; more particles keep the noise down")
 
     def solution(self) -> Solution:
         """The result as it stands: power over area is irradiance. The clock adds the seconds and the history."""

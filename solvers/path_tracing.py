@@ -103,7 +103,9 @@ class PathTracing(Solver):
         """Yield about ten times a second; the fraction is samples done."""
         emitters = Emitters(world)
         walk = walk_of(world, emitters, settings)
-        told = notices(emitters, settings) + unmet_lamps.notices(emitters, settings.samples, measure=receivers.measure)
+        told = notices(emitters, settings) + unmet_lamps.notices(
+            emitters, settings.samples, measure=receivers.measure, longest=settings.max_length
+        )
         run = Run(self.spec, world, receivers, settings, emitters, told)
         if settings.plain and (walk.table.only_diffuse or not run.is_camera):
             tracer = PathTracer(walk, receivers, trace, tuple(int(x) for x in rng.integers(0, 2**32, 4)))

@@ -108,7 +108,9 @@ class Whitted(Solver):
         """Yield after every few batches of receivers. Raises SceneError for rough lobes where they are refused."""
         emitters = Emitters(world)
         tracer = MirrorTracer(world, emitters, settings)
-        notices = rough_notices(world, settings.rough) + unmet_lamps.notices(emitters, sized=True, measure=receivers.measure)
+        notices = rough_notices(world, settings.rough) + unmet_lamps.notices(
+            emitters, sized=True, measure=receivers.measure, longest=settings.max_length
+        )
         notices += background_notices(emitters, settings.ambient)
         batch, doubling = guarded(tracer, self.spec.label)
         # Lo = Le + lights + ambient + mirrored and refracted rays (Eq. 9), at every receiver's fixed points.

@@ -2798,6 +2798,27 @@ BUGS = (
         "0 * self.density.radius[owner], 0.0)",
         "tests/core/test_said_of_results.py -k kernels",
     ),
+    Bug(
+        "lights share the light that is missing of one",
+        "adjoint_gi/core/walks/unmet_lamps.py",
+        "float(entered[told].sum())",
+        "float(entered.sum())",
+        "tests/methods/test_unmet_lamps.py -k share_is_that_of_each_light",
+    ),
+    Bug(
+        "metals get no irradiance by way of glass",
+        "adjoint_gi/core/bsdf/lobes.py",
+        "].passes and not x.is_black",
+        "].reflects and not x.is_black",
+        "tests/methods/test_unmet_lamps.py -k black",
+    ),
+    Bug(
+        "the light within a bulb counts as close to it",
+        "adjoint_gi/core/elements/closeness.py",
+        " | (mesh & world.shading.emissive()[triangle[met]])",
+        "",
+        "tests/core/test_said_of_results.py -k matters",
+    ),
 )
 
 

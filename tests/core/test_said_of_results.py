@@ -14,7 +14,7 @@ from adjgi.adjoint_gi.core.method import noise
 from adjgi.adjoint_gi.core.method.registry import method
 from adjgi.adjoint_gi.core.radiosity.lamp_light import LampLight, light_notices
 from adjgi.adjoint_gi.core.receivers.base import CameraReceivers
-from adjgi.adjoint_gi.core.scene.arrays import Camera, Light
+from adjgi.adjoint_gi.core.scene.arrays import Camera, Color, Light, Lobe, Material
 from adjgi.adjoint_gi.core.scene.world import World
 from adjgi.adjoint_gi.core.walks.gathering import Run, lights_of
 from adjgi.adjoint_gi.core.walks.particles import Ends
@@ -110,7 +110,7 @@ def test_spots_of_lamps_that_are_smaller_than_elements_are_found(kind):
     world = lit(lamp)
     spots = lamp_spots(Elements(world, 0.5), Lamps(world))
     assert spots.close.sum() == pytest.approx(share * spots.total, abs=0.02 * max(spots.total, 1e-9))
-    assert not share or spots.nearest.min() == pytest.approx(0.02, rel=0.05)
+    assert not share or 0.02 <= spots.nearest.min() < 0.0225
 
 
 @pytest.mark.parametrize("name", ON_ELEMENTS)
@@ -128,18 +128,60 @@ KERNELS = {
 }
 
 
+def blurred(world, **options):
+    """What particle tracing says of light that is close."""
+    return said(solve("particle_tracing", world, scattered(world, 20), seed=1, particles=1 << 14, **options), "and is blurred there")
+
+
 @pytest.mark.parametrize("count", KERNELS)
 @pytest.mark.parametrize("light", ["panel", "lamp"])
 def test_particle_tracing_says_where_its_kernels_blur_light_that_is_close(count, light):
-    """Its stated noise is small there: all that it counts is a mean."""
+    """Its stated noise is small there: all that it counts is a mean. What it says to set is silent."""
     options, close, far = KERNELS[count]
     lamp = Light("Lamp", "point", (1.0, 1.0, 1.0), position=(close, 2, 1.5))
     world = room(close) if light == "panel" else lit(lamp)
-    receivers = scattered(world, 20)
-    (one,) = said(solve("particle_tracing", world, receivers, seed=1, particles=1 << 14, **options), "and is blurred there")
-    assert one.names == ("Panel" if light == "panel" else "Lamp",) and "0.1 m" in one.remedy and "Path Tracing" in one.remedy
+    (one,) = blurred(world, **options)
+    assert one.names == ("Panel" if light == "panel" else "Lamp",) and "Path Tracing" in one.remedy
+    name, value = one.remedy.split("(")[1].split(")")[0], float(one.remedy.split(" to ")[1].split(" m")[0])
+    assert name in options and 0.25 * close < value <= 0.5 * close and not blurred(world, **(options | {name: value}))
     other = room(far) if light == "panel" else lit(dataclasses.replace(lamp, position=(2.0, 2.0, 1.5)))
-    assert not said(solve("particle_tracing", other, receivers, seed=1, particles=1 << 14, **options), "and is blurred there")
+    assert not blurred(other, **options)
+
+
+def test_closeness_is_that_of_light_which_matters():
+    """Not of what shines within a bulb, of what passes glass, or of a lamp that gives little of all light, the sun's included."""
+    options = {"max_edge": 0.25}
+
+    def scene(lamp=None, sun=0.0, bulb=0.0, lantern=0.0):
+        b = SceneBuilder()
+        b.box("Room", (0, 0, 0), (4, 4, 3), diffuse("White", 0.7), inward=True)
+        middle = np.array([2, 2, 1.5])
+        if bulb:
+            b.box("Bulb", middle - bulb / 2, middle + bulb / 2, diffuse("Bulb", 0.0, 10.0), inward=False)
+        if lantern:
+            pane = Material("Pane", (Lobe("glass", Color.of(1), 0.0, 1.5),))
+            b.box("Lantern", middle - lantern / 2, middle + lantern / 2, pane, inward=False)
+        if lamp:
+            b.light(Light("Lamp", "point", (lamp[1],) * 3, position=lamp[0]))
+        if sun:
+            b.light(Light("Sun", "sun", (sun,) * 3))
+        return World(b.build())
+
+    beside = (0.05, 2, 1.5)
+    assert not blurred(scene(bulb=0.1), **options)
+    assert not blurred(scene(lamp=((2, 2, 1.5), 1.0), lantern=0.2), **options)
+    assert blurred(scene(lamp=(beside, 1.0)), **options)
+    assert not blurred(scene(lamp=(beside, 0.001), sun=1.0), **options)
+
+
+@pytest.mark.parametrize("name", ["matrix_radiosity", "particle_tracing"])
+def test_no_remedy_asks_for_elements_of_no_size(name):
+    """Of a lamp in a wall, or next to nothing off it."""
+    for x in (0.0, 1e-5):
+        world = lit(Light("Lamp", "point", (1.0, 1.0, 1.0), position=(x, 2, 1.5)))
+        options = {"particles": 1 << 14} if name == "particle_tracing" else ON_ELEMENTS[name]
+        (one,) = said(solve(name, world, scattered(world, 20), seed=1, **options), "lights surfaces")
+        assert "Move it away" in one.remedy and "Set" not in one.remedy
 
 
 def test_corners_of_rooms_are_not_close():

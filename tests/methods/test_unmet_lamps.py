@@ -126,13 +126,19 @@ def lit_below(base, measure, lamp=SUN):
 
 
 COAT = Lobe("specular", Color.of(1), 0.5, 1.5)
-BLACK = {"black": (), "coated": (COAT,), "black diffuse": (Lobe("diffuse", Color.of(0.0)),), "shining": (Lobe("emission", Color.of(1.0)),)}
+METALS = {kind: (Lobe(kind, Color.of(0.5), 0.3),) for kind in ("glossy", "metallic", "tinted metallic")}
+BLACK = METALS | {
+    "black": (),
+    "coated": (COAT,),
+    "black diffuse": (Lobe("diffuse", Color.of(0.0)),),
+    "shining": (Lobe("emission", Color.of(1.0)),),
+}
 
 
 @pytest.mark.parametrize("lamp", [SUN, Light("Lamp", "point", (1, 1, 1), (0, 0, 2))], ids=["sun", "point"])
 @pytest.mark.parametrize("base", BLACK)
 def test_irradiance_of_black_surfaces_lacks_what_that_of_grey_ones_lacks(base, lamp):
-    """A picture of them lacks nothing. What a coat keeps is irradiance, too."""
+    """A picture of them lacks nothing. What a coat keeps is irradiance, too, and what a metal gets."""
     (said,) = lit_below(BLACK[base], "irradiance", lamp)
     (same,) = lit_below(diffuse("Grey", 0.5).lobes, "irradiance", lamp)
     assert said.reason == same.reason and not lit_below(BLACK[base], "radiance", lamp)
@@ -223,3 +229,43 @@ def test_multi_pass_finds_lamps_by_way_of_mirrors_and_not_panels():
     for panel, light in ((False, POINT), (False, dataclasses.replace(POINT, radius=0.01)), (True, None)):
         told = unmet_lamps.notices(Emitters(polished(0.0, light, panel)), 64, by_particles=True)
         assert len(told) == panel
+
+
+def pooled(lights, edge, power=1.0):
+    """A grey room with a mirror in the middle of its floor, of `edge` m, and balls of 1 cm: at places, each of as much power."""
+    b = SceneBuilder()
+    b.box("Room", (0, 0, 0), (1, 1, 1), diffuse("Grey", 0.5), inward=True)
+    low = 0.5 - edge / 2
+    b.quad("Mirror", (low, low, 0.01), (edge, 0, 0), (0, edge, 0), Material("Silver", (Lobe("glossy", Color.of(0.9), 0.0),)))
+    for k, (x, y, z, strength) in enumerate(lights):
+        b.light(Light(f"Lamp {k}", "point", (strength,) * 3, (x, y, z), radius=0.01))
+    return Emitters(World(b.build()))
+
+
+def test_the_share_is_that_of_each_light():
+    """Another lamp, 16 times as strong, of which hardly any light meets the mirror, makes what is missing of the first one no smaller."""
+    b = SceneBuilder()
+    b.box("Room", (0, 0, 0), (1, 1, 1), diffuse("Grey", 0.5), inward=True)
+    b.quad("Mirror", (0.4, 0.4, 0.3), (0.2, 0, 0), (0, 0.2, 0), Material("Silver", (Lobe("glossy", Color.of(0.9), 0.0),)))
+    b.light(Light("Lamp", "point", (1.0,) * 3, (0.5, 0.5, 0.4)))
+    alone = unmet_lamps.notices(Emitters(World(b.build())))
+    b.light(Light("Fill", "point", (16.0,) * 3, (0.95, 0.95, 0.31)))
+    (both,) = unmet_lamps.notices(Emitters(World(b.build())))
+    assert both.object == alone[0].object == "Lamp"
+    share = [float(x.reason.split("(")[1].split(" %")[0]) for x in (alone[0], both)]
+    assert share[1] == pytest.approx(share[0], rel=0.2)
+
+
+def test_paths_find_light_where_they_meet_any_of_many_lamps():
+    """One ball of 1 cm over a mirror is met by few of 4,096 paths; of 100 of them any will do."""
+    one = pooled([(0.5, 0.5, 0.9, 1.0)], 0.5)
+    grid = [(0.05 + 0.1 * (k % 10), 0.05 + 0.1 * (k // 10), 0.9, 0.01) for k in range(100)]
+    assert unmet_lamps.notices(one, 512) and not unmet_lamps.notices(pooled(grid, 0.5), 512)
+
+
+def test_nothing_is_said_of_light_that_is_longer_than_what_counts():
+    scene = room()
+    receivers = ElementReceivers(Elements(World(scene), 1.0))
+    for longest, said in ((1, 0), (2, 1)):
+        told = solving.solve("path_tracing", receivers, samples=1, max_length=longest).warnings
+        assert sum("by way of Mirror" in w.reason for w in told) == said

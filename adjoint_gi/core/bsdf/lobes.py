@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..scene.arrays import SceneArrays
 from .diffuse import Diffuse
 from .lobe import LobeKind
 from .oren_nayar import OrenNayar
@@ -46,6 +47,12 @@ REFRACTING = those(lambda kind: kind.refracts)
 SHINING = REFLECTING | PASSING
 PARTIAL = those(lambda kind: kind.partial)
 HIGHLIGHT = those(lambda kind: kind.highlight)
+
+
+def opaque(scene: SceneArrays) -> np.ndarray:
+    """(nt,) bool: triangles of materials that let no light through."""
+    lets = [any(LOBES[LOBE_KINDS.get(x.kind, DIFFUSE)].passes and not x.is_black for x in m.lobes) for m in scene.materials]
+    return ~np.array(lets or [False])[np.asarray(scene.material, np.int64)]
 
 
 def present(kind: np.ndarray) -> list[int]:

@@ -8,12 +8,14 @@ elements they meet.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..base.errors import Notice
+from ..bsdf.lobes import opaque
 from ..lights.base import LampKind, ParticleSource
 from ..lights.emission import Emission
 from ..lights.lamps import Lamps
@@ -29,6 +31,8 @@ PARTICLES = 1 << 12  # from lamps
 CLOSE = 0.5  # of an element's width
 TOLD = 0.02  # share of the light that is worth a notice
 NAMED = 3  # objects
+LOW = 0.1  # of the light that is close, the share that is closer than the distance which is told
+MOST_PIECES = 1e6  # which surfaces may be cut into for a remedy
 
 
 def middle_distances(elements: Elements, sides: np.ndarray) -> np.ndarray:
@@ -73,29 +77,28 @@ Counting = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.n
 
 def spots(world: World, sources: list[ParticleSource], counting: Counting) -> Spots:
     """Of `sources`, by particles, always the same. What a mesh sends is as far away as the middle one of rays from the same place: at its
-    edges light to surfaces that meet it there is near, and changes slowly."""
-    sources = [s for s in sources if not s.kind.far]
-    if not sources:
+    edges light to surfaces that meet it there is near, and changes slowly. What falls on emitting meshes themselves, as within a bulb, is
+    not close to anything, and what falls on glass goes on."""
+    if all(s.kind.far for s in sources):
         return Spots((), np.zeros(0), np.zeros(0), 0.0)
     emission = Emission(world, sources)
     rng = np.random.default_rng(0)
     p = emission.draw(PARTICLES, rng)
     triangle, u, v, t = world.intersect(p.origin, p.direction, p.kind)
     met = np.flatnonzero((triangle >= 0) & (t >= p.dark))
+    met = met[opaque(world.scene)[triangle[met]]]
     width, share = counting(triangle[met], u[met], v[met])
     sent, light = (p.weight[met] * share).sum(axis=1), p.light[met]
-    mesh = np.flatnonzero(np.array([not isinstance(s.kind, LampKind) for s in sources])[light])
-    away = t[met]
-    away[mesh] = _middle_around(world, p.origin[met[mesh]], p.direction[met[mesh]], rng)
-    near = (away < CLOSE * width) & (sent > 0)
-    nearest = np.array([_nearest(away[near & (light == k)], isinstance(s.kind, LampKind)) for k, s in enumerate(sources)])
+    mesh = np.array([not isinstance(s.kind, LampKind) for s in sources])[light]
+    far = np.array([s.kind.far for s in sources])[light] | (mesh & world.shading.emissive()[triangle[met]])
+    around, away = np.flatnonzero(mesh & ~far), t[met]
+    away[around] = _middle_around(world, p.origin[met[around]], p.direction[met[around]], rng)
+    near = (away < CLOSE * width) & (sent > 0) & ~far
+    nearest = np.full(len(sources), np.inf)
+    for k in np.unique(light[near]):
+        nearest[k] = np.quantile(away[near & (light == k)], LOW)
     close = np.bincount(light[near], sent[near], len(sources))
     return Spots(emission.names, close, nearest, float(sent.sum()))
-
-
-def _nearest(away: np.ndarray, lamp: bool) -> float:
-    """The least of the distances `away`, of a mesh, whose edges may touch others, such that a tenth is less; inf where there is none."""
-    return float(np.quantile(away, 0.0 if lamp else 0.1)) if len(away) else np.inf
 
 
 def _middle_around(world: World, origin: np.ndarray, direction: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -115,7 +118,7 @@ def lamp_spots(elements: Elements, lamps: Lamps) -> Spots:
         element = elements.locate(*at)
         return np.sqrt(elements.area[element]), elements.albedo[element]
 
-    return spots(elements.world, lamps.sources(), counting)
+    return spots(elements.world, [s for s in lamps.sources() if not s.kind.far], counting)
 
 
 def notices(elements: Elements, flux: np.ndarray, lamps: Lamps) -> tuple[Notice, ...]:
@@ -127,20 +130,29 @@ def notices(elements: Elements, flux: np.ndarray, lamps: Lamps) -> tuple[Notice,
     total = max(float(flux.sum()), emitted + lit.total)
     names = tuple(x.name for x in elements.world.scene.objects) + lit.names
     found = Spots(names, np.concatenate([part, lit.close]), np.concatenate([nearest, lit.nearest]), total)
-    remedy = "Set Max Element Edge (max_edge) to {closest} m or less, or take Path Tracing, which has no elements"
-    return told(found, "elements are wide", "wrong", remedy)
+    return told(elements.world, found, "elements are wide", "wrong", "Max Element Edge (max_edge)", 1.0, "which has no elements")
 
 
-def told(found: Spots, wide: str, how: str, remedy: str) -> tuple[Notice, ...]:
-    """Names the lights, where what is close is worth a notice. wide: what they are closer than. how: light is there. remedy: what helps, at
-    "{closest}" m."""
-    part, nearest = found.close, found.nearest
-    if found.total <= 0 or part.sum() < TOLD * found.total:
+def told(world: World, found: Spots, wide: str, how: str, setting: str, part: float, path: str) -> tuple[Notice, ...]:
+    """Names the lights, where what is close is worth a notice. wide: what they are closer than. how: light is there. setting: which helps,
+    at `part` of the distance. path: what path tracing does instead."""
+    if found.total <= 0 or found.close.sum() < TOLD * found.total:
         return ()
-    most = np.argsort(-part, kind="stable")[: int((part > 0).sum())]
+    most = np.argsort(-found.close, kind="stable")[: int((found.close > 0).sum())]
     names = tuple(found.names[i] for i in most)
     listed = ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
-    closest = float(nearest[most].min())
-    share = f"{min(part.sum() / found.total, 1.0):.0%}"
+    closest = float(found.nearest[most].min())
+    share = f"{min(found.close.sum() / found.total, 1.0):.0%}"
     reason = f"lights surfaces {closest:.2g} m away, closer than {wide}: {share} of the light begins so, and is {how} there"
-    return (Notice(listed, reason, remedy.format(closest=f"{closest:.1g}"), names=names),)
+    help = _rounded_down(part * closest)
+    able = help > 0 and world.area.sum() < MOST_PIECES * help**2
+    first = f"Set {setting} to {help:g} m or less" if able else "Move it away from the surface"
+    return (Notice(listed, reason, f"{first}, or take Path Tracing, {path}", names=names),)
+
+
+def _rounded_down(x: float) -> float:
+    """`x` to one digit, never more."""
+    if not x > 0:
+        return 0.0
+    unit = 10.0 ** math.floor(math.log10(x))
+    return math.floor(x / unit * (1 + 1e-6)) * unit

@@ -164,22 +164,26 @@ class Cells:
     def _divide(self, triangle: np.ndarray, cells: int) -> None:
         """Fill triangle, scale, base_u, base_v and constant, (cells,) each."""
         scene = self.world.scene
-        varying = np.array([not m.total("emission").is_constant for m in scene.materials])[scene.material[triangle]]
+        every = scene.material[triangle]
+        own = np.unique(every)
+        varies = np.zeros(len(scene.materials), bool)
+        varies[own] = [not scene.materials[m].total("emission").is_constant for m in own]
+        varying = varies[every]
         area = np.where(varying, self.world.area[triangle], 0)
         side = np.ones(len(triangle), np.int64)
         if varying.any():
             side = np.maximum(1, np.sqrt(cells * area / area.sum()).astype(np.int64))
         count = side**2
-        own = np.repeat(np.arange(len(triangle)), count)
-        number = np.arange(len(own)) - np.repeat(np.cumsum(count) - count, count)
-        k = side[own]
+        whole = np.repeat(np.arange(len(triangle)), count)
+        number = np.arange(len(whole)) - np.repeat(np.cumsum(count) - count, count)
+        k = side[whole]
         # Row i of k holds k - i upright triangles and k - i - 1 upside-down ones; a square of k x k, folded, numbers them all.
         i, j = number // k, number % k
         down = i + j >= k
         # (i, j) beyond the diagonal stands for the upside-down triangle with its right angle at (k - i, k - j).
         i, j = np.where(down, k - i, i), np.where(down, k - j, j)
-        self.triangle = triangle[own].astype(np.int32)
-        self.constant = ~varying[own]
+        self.triangle = triangle[whole].astype(np.int32)
+        self.constant = ~varying[whole]
         self.scale = np.where(down, -1.0, 1.0) / k
         self.base_u, self.base_v = i / k, j / k
 

@@ -15,13 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..base.errors import Notice
+from ..base.settings import NO_LIMIT
 from ..base.text import plain
-from ..bsdf.lobes import LOBES
+from ..bsdf.lobes import opaque
 from ..lights.base import LampKind, ParticleSource
 from ..lights.emission import Emission
 from ..lights.emitters import Emitters
-from ..lights.mesh import MeshLights
-from ..scene.world import World
 from .mirror_chains import Chains
 
 PARTICLES = 1 << 13
@@ -29,34 +28,39 @@ DEPTH = 8  # surfaces on the way that are followed
 LEAST = 0.01  # share of the light of these lamps below which nothing is said
 FEW = 0.1  # paths of one receiver that meet a lamp, on average, from which the noise shows that it is found
 NAMES = 3
-_KINDS = {kind.name: kind for kind in LOBES}
 SHOOT = "Use Particle Tracing or Progressive Multi-Pass"
 READ = "Use Particle Tracing or Two-Pass"
 
 
 def notices(
-    emitters: Emitters, paths: float = math.inf, sized: bool = False, measure: str = "radiance", by_particles: bool = False
+    emitters: Emitters,
+    paths: float = math.inf,
+    sized: bool = False,
+    measure: str = "radiance",
+    by_particles: bool = False,
+    longest: int = NO_LIMIT,
 ) -> tuple[Notice, ...]:
     """Up to two notices, of lamps without and with a size: the share of the light that is missing, the lamps, the surfaces it comes by.
 
     paths: from one receiver, over which lamps with a size, and all by nearly smooth surfaces, count as found where at least `FEW` meet
     them. sized: lamps with a size are not found at all, and named with the others. measure: what is asked for; irradiance is what black
-    surfaces get like others. by_particles: the light of lamps by way of perfectly smooth surfaces is found otherwise.
+    surfaces and metals get like others. by_particles: the light of lamps by way of perfectly smooth surfaces is found otherwise. longest:
+    segments of the paths that count.
     """
     world, lamps = emitters.world, emitters.lamps
-    chains = Chains(world, DEPTH)
-    if not chains.any:
+    chains = Chains(world, min(DEPTH, longest - 1))
+    if not chains.any or longest < 2:
         return ()
     irradiance, out = measure == "irradiance", []
     points = [] if by_particles else [lamps.source(i) for i in range(lamps.count) if sized or not lamps.sized[i]]
     unmet = chance_light(emitters, chains, points, irradiance=irradiance)
-    if unmet is not None and unmet.share >= LEAST:
+    if unmet is not None:
         what = "is not found by this method" if sized else "is missing: a lamp without size cannot be met there"
         out.append(unmet.notice(what, SHOOT + ("" if sized else ", or give the lamp a size")))
     if paths < math.inf and not sized:
-        sources = [lamps.source(i) for i in range(lamps.count)] + MeshLights(world).sources()
+        sources = [lamps.source(i) for i in range(lamps.count)] + emitters.mesh.sources()
         rare = chance_light(emitters, chains, sources, paths, irradiance, by_particles)
-        if rare is not None and rare.share >= LEAST:
+        if rare is not None:
             what = f"is found by luck alone: of {paths:,.0f} paths from a place {paths * rare.chance:.1g} meet the light there"
             out.append(rare.notice(what, READ + ", or make the light larger or the surface rougher"))
     return tuple(out)
@@ -86,8 +90,9 @@ def chance_light(
     irradiance: bool = False,
     by_particles: bool = False,
 ) -> ChanceLight | None:
-    """Light of `sources` by way of smooth surfaces; None where there is none. With `paths` that which fewer than `FEW` of them find, by way
-    of rough surfaces, too, but not what is missing or, with `by_particles`, found otherwise: that of lamps by way of smooth ones.
+    """Light of `sources` by way of smooth surfaces, of those that give at least `LEAST` of theirs so; None where none does. With `paths`
+    that which fewer than `FEW` of them find, by way of rough surfaces, too, but not what is missing or, with `by_particles`, found
+    otherwise: that of lamps by way of smooth ones.
 
     What counts is light that the diffuse lobe of a surface gets; with `irradiance` what its surface gets, whatever it makes of that.
     """
@@ -99,11 +104,12 @@ def chance_light(
     rng = np.random.default_rng(0)
     p = emission.draw(PARTICLES, rng)
     power, owner = p.weight.sum(axis=1), np.asarray(world.scene.object)
-    first, missing, met_by, near = np.zeros(PARTICLES, np.int64), *np.zeros((3, PARTICLES))
-    entered, ends = np.zeros(len(sources)), _opaque(world)
-    last, flown, far = p.origin.astype(np.float64), np.zeros(PARTICLES), np.array([s.kind.far for s in sources])[p.light]
+    first, near, entered = np.zeros(PARTICLES, np.int64), np.zeros(PARTICLES), np.zeros(len(sources))
+    last, flown, ends = p.origin.astype(np.float64), np.zeros(PARTICLES), opaque(world.scene)
+    far = np.array([s.kind.far for s in sources])[p.light]
     known = [not s.kind.sized or (by_particles and isinstance(s.kind, LampKind)) for s in sources]
     known = np.array(known)[p.light]
+    rows, light, chance = [np.zeros(0, np.int64)], [np.zeros(0)], [np.zeros(0)]
     for met in chains.follow(p.origin, p.direction, p.kind, rng, p.dark):
         s, row = met.surface, met.row
         step = s.position - last[row]
@@ -113,29 +119,44 @@ def chance_light(
             first[row], near[row] = owner[s.triangle], length
             entered = np.bincount(p.light[row], power[row], len(sources))
             continue
-        counts = chains.diffuse(s.triangle, s.u, s.v).max(axis=1) > 0
-        if irradiance:
-            counts |= ends[s.triangle]
+        counts = ends[s.triangle] if irradiance else chains.diffuse(s.triangle, s.u, s.v).max(axis=1) > 0
         counts &= met.clear if paths is None else ~(met.clear & known[row])
         share = np.ones_like(met.share) if irradiance else met.share
-        found = (p.weight[row] * met.weight * share).sum(axis=1) * counts
         # The chance of a ray by the cosine, from here back along the same surfaces, to meet the lamp in its image, or a lobe that does.
         cosine = np.abs(np.einsum("ij,ij->i", step, s.ns)) / np.maximum(length, 1e-12)
         image = p.origin[row] + p.direction[row] * flown[row, None]
         wide = met.solid * np.where(far[row], 1, near[row] / np.maximum(flown[row], 1e-12)) ** 2
         reached = np.minimum(cosine / np.pi * (solid_angles(sources, p.light[row], image, flown[row]) + wide), 1)
-        reached *= np.minimum(met.weight.mean(axis=1), 1)
-        # Where enough paths meet the light it is found: it is noisy at worst, and noise is measured.
-        found *= (paths or 0) * reached < FEW
-        missing[row] += found
-        met_by[row] += found * reached
-    total = float(missing.sum())
+        # A smooth lobe is one of several to choose; a light point has all of a rough one.
+        reached *= np.where(met.solid > 0, 1, np.minimum(met.weight.mean(axis=1), 1))
+        rows.append(row[counts])
+        light.append((p.weight[row] * met.weight * share).sum(axis=1)[counts])
+        chance.append(reached[counts])
+    row, light, chance = (np.concatenate(x) for x in (rows, light, chance))
+    # Where enough paths meet any of the lights that come the same way, light is found: it is noisy at worst, and noise is measured.
+    if paths is not None:
+        light = light * (paths * chance * _alike(first[row], p.light[row], light) < FEW)
+    missing = np.bincount(p.light[row], light, len(sources))
+    told = missing >= LEAST * np.maximum(entered, 1e-300)
+    light, total = light * told[p.light[row]], float(missing[told].sum())
     if total <= 0:
         return None
+    missing, met_by = np.bincount(row, light, PARTICLES), float((light * chance).sum())
     by_object = np.bincount(first, missing, len(world.scene.objects))
     via = [world.scene.objects[i].source for i in np.argsort(-by_object, kind="stable") if by_object[i] > LEAST * by_object.sum()]
-    lights = np.unique(p.light[missing > 0])
-    return ChanceLight(total / float(entered[lights].sum()), float(met_by.sum()) / total, [emission.names[i] for i in lights], via)
+    return ChanceLight(total / float(entered[told].sum()), met_by / total, [emission.names[i] for i in np.flatnonzero(told)], via)
+
+
+def _alike(first: np.ndarray, source: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """(n,) of how many sources alike the `light` (n,) comes that has first met objects `first` (n,): their number where all give as much,
+    1 where one gives nearly all."""
+    way, back = np.unique(first, return_inverse=True)
+    pair, which = np.unique(back * (int(source.max(initial=0)) + 1) + source, return_inverse=True)
+    each = np.bincount(which, light, len(pair))
+    owner = np.zeros(len(pair), np.int64)
+    owner[which] = back
+    total, squares = np.bincount(owner, each, len(way)), np.bincount(owner, each**2, len(way))
+    return (total**2 / np.maximum(squares, 1e-300))[back]
 
 
 def solid_angles(sources: list[ParticleSource], light: np.ndarray, at: np.ndarray, distance: np.ndarray) -> np.ndarray:
@@ -157,13 +178,6 @@ def solid_angles(sources: list[ParticleSource], light: np.ndarray, at: np.ndarra
             lit = cells.power.sum() ** 2 / max(float((cells.power**2 / np.maximum(area, 1e-300)).sum()), 1e-300)
             out[rows] = 0.5 * lit / np.maximum(distance[rows], 1e-12) ** 2
     return np.minimum(out, 2 * np.pi)
-
-
-def _opaque(world: World) -> np.ndarray:
-    """(nt,) bool: triangles of what is black, diffuse or below a coat: it neither passes light nor is a mirror itself."""
-    lobes = ([x for x in m.lobes if not x.is_black] for m in world.scene.materials)
-    ends = [all(kind.is_coat or kind.under_coat for x in own if (kind := _KINDS.get(x.kind))) for own in lobes]
-    return np.array(ends or [False])[np.asarray(world.scene.material, np.int64)]
 
 
 def _listed(names: list[str]) -> str:
