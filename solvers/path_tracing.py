@@ -36,7 +36,7 @@ from ..adjoint_gi.core.method.solution import Step
 from ..adjoint_gi.core.receivers.base import Receivers
 from ..adjoint_gi.core.scene.world import Surface, World
 from ..adjoint_gi.core.walks import unmet_lamps
-from ..adjoint_gi.core.walks.diffuse_paths import DIMENSIONS, PathTracer
+from ..adjoint_gi.core.walks.diffuse_paths import USES, PathTracer
 from ..adjoint_gi.core.walks.gathering import SAMPLES_PER_BATCH, Run, batches
 from ..adjoint_gi.core.walks.paths import NEVER, Gathered, Paths, Walk, by_root, by_weight
 from ..adjoint_gi.core.walks.radiance import start
@@ -96,7 +96,7 @@ class PathTracing(Solver):
 
     def memory(self, world: World, receivers: Receivers, settings: PathSettings) -> int:
         """Sums in float64, one copy of the result, the tables of the triangles, and the batches under way."""
-        batches = 2 * thread_count() * SAMPLES_PER_BATCH * (DIMENSIONS * 8 + 60 * 12)
+        batches = 2 * thread_count() * SAMPLES_PER_BATCH * (sum(USES) * 8 + 60 * 12)
         return receivers.count * 500 + world.triangle_count * 200 + batches
 
     def solve(self, world: World, receivers: Receivers, settings: PathSettings, rng: np.random.Generator) -> Iterator[Step]:

@@ -157,31 +157,71 @@ def test_power_heuristic_weights_sum_to_one():
     assert sampling.power_heuristic(one, np.float32(0)) == 1
 
 
-@pytest.mark.parametrize("shift", [False, True])
-def test_sobol_numbers_are_stratified(shift):
+def test_sobol_numbers_are_stratified():
     n, d = 256, low_discrepancy.DIMENSIONS
-    plain = low_discrepancy.sobol(0, n, d) / 2.0**32
-    x = low_discrepancy.shifted(np.array([12345]), 0, n, d, seed=3).astype(float) if shift else plain
+    x = low_discrepancy.sobol_at(np.arange(n, dtype=np.uint32), d) / 2.0**32
     # One point in every 256th of every dimension; one in every elementary interval of the first two.
     assert (np.sort((x * n).astype(int), axis=1) == np.arange(n)).all()
-    for k in range(9):
-        cell = (x[0] * 2**k).astype(int) * 2 ** (8 - k) + (x[1] * 2 ** (8 - k)).astype(int)
-        assert (np.sort(cell) == np.arange(n)).all()
+    assert all(evenly(x[:2], bits, n) for bits in splits(8, 2))
     # No two dimensions are the same.
     assert (np.abs(np.corrcoef(x)) - np.eye(d)).max() < 0.5
 
 
+def splits(bits, dimensions):
+    """All ways to divide the bits among the dimensions."""
+    if dimensions == 1:
+        return [(bits,)]
+    return [(k, *rest) for k in range(bits + 1) for rest in splits(bits - k, dimensions - 1)]
+
+
+def evenly(x, bits, n):
+    """Whether as many of the `n` points x (d, n) lie in each cell when dimension i is cut into 2^bits[i]."""
+    cell = np.zeros(n, int)
+    for row, many in zip(x, bits, strict=True):
+        cell = (cell << many) + (row * 2**many).astype(int)
+    return (np.bincount(cell, minlength=1 << sum(bits)) == n >> sum(bits)).all()
+
+
+USES = (2, 2, 3, 1, 3)
+
+
+@pytest.mark.parametrize("first", [0, 16, 3 << 20])
+def test_each_use_has_even_numbers_from_a_few_points_on(first):
+    """Two numbers are a net; the first three have a point in every octant of eight. With the dimensions of the sequence dealt out, four
+    points of the third use were in two quadrants, and eight in four octants."""
+    for receiver in range(20):
+        x = low_discrepancy.shifted(np.array([receiver]), first, 16, USES, seed=3).astype(float)
+        for use, at in zip(USES, np.cumsum((0, *USES)), strict=False):
+            part = x[at : at + use]
+            for count in (2, 4, 8, 16):
+                m = count.bit_length() - 1
+                assert all(evenly(part[i : i + 1, :count], (m,), count) for i in range(use))
+                assert use == 1 or all(evenly(part[:2, :count], bits, count) for bits in splits(m, 2))
+            assert use < 3 or evenly(part[:, :8], (1, 1, 1), 8)
+
+
+def test_uses_are_joined_at_random():
+    """Over receivers all pairs of quarters are alike; and the points of one fill the pairs no worse than independent ones would."""
+    x = low_discrepancy.shifted(np.arange(4000), 0, 16, USES, seed=3).reshape(sum(USES), 4000, 16)
+    cell = (x[2] * 4).astype(int) * 4 + (x[4] * 4).astype(int)
+    assert abs(chi_square(cell[:, 5], np.full(16, 1 / 16))) < Z
+    together = np.zeros((4000, 16))
+    np.add.at(together, (np.repeat(np.arange(4000), 16), cell.ravel()), 1)
+    # Sixteen points in sixteen cells: one in each at best; a variance of 15 / 16 where they are independent, of 3 where four have all.
+    assert together.var() < 1.1
+
+
 def test_shifted_numbers_do_not_depend_on_the_batch():
     receivers = np.arange(100, 140)
-    whole = low_discrepancy.shifted(receivers, 0, 16, 7, seed=5).reshape(7, 40, 16)
-    part = low_discrepancy.shifted(receivers[10:20], 4, 8, 7, seed=5).reshape(7, 10, 8)
+    whole = low_discrepancy.shifted(receivers, 0, 16, USES, seed=5).reshape(sum(USES), 40, 16)
+    part = low_discrepancy.shifted(receivers[10:20], 4, 8, USES, seed=5).reshape(sum(USES), 10, 8)
     assert (whole[:, 10:20, 4:12] == part).all()
-    assert (low_discrepancy.shifted(receivers, 0, 16, 7, seed=6) != whole.reshape(7, -1)).mean() > 0.99
+    assert (low_discrepancy.shifted(receivers, 0, 16, USES, seed=6) != whole.reshape(sum(USES), -1)).mean() > 0.99
 
 
 @pytest.mark.parametrize("index", [0, 1, 1000])
 def test_each_point_is_uniform_over_receivers(index):
-    x = low_discrepancy.shifted(np.arange(100_000), index, 1, 8, seed=11).astype(float)
+    x = low_discrepancy.shifted(np.arange(100_000), index, 1, USES, seed=11).astype(float)
     assert x.min() >= 0 and x.max() < 1
     for a, b in ((0, 1), (2, 3), (4, 7)):
         assert abs(chi_square(grid(x[a], x[b]), np.full(144, 1 / 144))) < Z

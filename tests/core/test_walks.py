@@ -47,7 +47,7 @@ def test_diffuse_vertices_and_those_with_lobes_find_the_same(survival):
     vertices, factor = start(walk, surface, None)
     general = follow(Paths(walk, vertices, np.random.default_rng(1))).times(factor)
     rng = np.random.default_rng(2)
-    numbers = Numbers(rng.random((VERTEX * STRATIFIED, N), np.float32))
+    numbers = Numbers(rng.random((sum(VERTEX) * STRATIFIED, N), np.float32))
     ng, weight = columns(surface.ng), np.full((3, N), PI)
     plain = DiffuseVertices(walk, columns(world.leave(surface)), ng, ng, numbers.at(np.arange(N), rng), numbers)
     fast = follow(Paths(walk, plain, rng, weight=weight, unit=1 / PI))

@@ -26,9 +26,9 @@ from .radiance import LobeVertices, arrived
 from .sight import see
 
 ONE = np.float32(1)
-SITE, VERTEX = 2, 5  # low-discrepancy dimensions for the place on the receiver, and for each of the first vertices
+SITE, VERTEX = 2, (2, 3)  # numbers for the place on the receiver; and at each of the first vertices for a direction and for a light point
 STRATIFIED = 3  # vertices that get low-discrepancy numbers
-DIMENSIONS = SITE + VERTEX * STRATIFIED
+USES = (SITE, *VERTEX * STRATIFIED)
 
 
 class DiffuseVertices:
@@ -42,7 +42,7 @@ class DiffuseVertices:
     def __init__(
         self, walk: Walk, origin: np.ndarray, ng: np.ndarray, ns: np.ndarray, u: np.ndarray, numbers: Numbers, edge: Edge | None = None
     ) -> None:
-        """`origin`: of rays that leave. `u` (VERTEX, n): their random numbers; `numbers`: where those of later ones come from. `edge`:
+        """`origin`: of rays that leave. `u` (5, n): their random numbers; `numbers`: where those of later ones come from. `edge`:
         where light ends on smooth faces."""
         self.walk, self.ng, self.ns, self.u, self.numbers, self.edge = walk, ng, ns, u, numbers, edge
         self.count, self.origin = origin.shape[1], origin
@@ -90,7 +90,7 @@ class WhiteVertices(DiffuseVertices):
 
 @dataclass(frozen=True, eq=False)
 class Numbers:
-    """Random numbers of vertex `k` of paths: low-discrepancy ones of `points` (VERTEX * STRATIFIED, paths) first, then others.
+    """Random numbers of vertex `k` of paths: low-discrepancy ones of `points` (5 * STRATIFIED, paths) first, then others.
 
     Of each vertex direction (2), light pick (1), point on the light (2).
     """
@@ -99,10 +99,11 @@ class Numbers:
     k: int = 0
 
     def at(self, path: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """(VERTEX, n) float32 for paths `path` (n,)."""
+        """(5, n) float32 for paths `path` (n,)."""
+        many = sum(VERTEX)
         if self.k >= STRATIFIED:
-            return rng.random((VERTEX, len(path)), np.float32)
-        u = self.points[VERTEX * self.k : VERTEX * (self.k + 1)]
+            return rng.random((many, len(path)), np.float32)
+        u = self.points[many * self.k : many * (self.k + 1)]
         return u if len(path) == u.shape[1] else u.take(path, axis=1)
 
     def next(self) -> Numbers:
@@ -124,7 +125,7 @@ class PathTracer:
         first, last, samples, index = item
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=(first, index))))
         receiver = np.arange(first, last)
-        numbers = low_discrepancy.shifted(receiver, index, samples, DIMENSIONS, self.seed[0])
+        numbers = low_discrepancy.shifted(receiver, index, samples, USES, self.seed[0])
         ids = np.repeat(receiver, samples)
         place = {"uniform": numbers[:SITE]} if self.receivers.takes_uniform else {}
         points = self.receivers.sample(ids, rng, **place)
