@@ -21,8 +21,9 @@ def mean_emission(shading: Shading, triangle: np.ndarray, u: np.ndarray, v: np.n
     """
     scene, colors = shading.scene, shading.emission_colors
     material = np.asarray(scene.material)[triangle]
-    out = np.array([c.constant for c in colors] or [(0.0, 0.0, 0.0)], np.float64)[material]
-    for index in np.unique(material):
+    present, back = np.unique(material, return_inverse=True)
+    out = np.array([colors[index].constant for index in present], np.float64).reshape(-1, 3)[back]
+    for index in present:
         if not colors[index].is_constant:
             which = np.flatnonzero(material == index)
             out[which] = _means(colors[index], scene, triangle[which], u[which], v[which])

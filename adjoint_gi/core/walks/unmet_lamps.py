@@ -25,8 +25,10 @@ from .mirror_chains import Chains
 
 PARTICLES = 1 << 13
 DEPTH = 8  # surfaces on the way that are followed
+ENOUGH = 200  # particles of one light that tell its share
 LEAST = 0.01  # share of the light of these lamps below which nothing is said
 FEW = 0.1  # paths of one receiver that meet a lamp, on average, from which the noise shows that it is found
+MOST_JOINT = 1000  # sources that come one way
 NAMES = 3
 SHOOT = "Use Particle Tracing or Progressive Multi-Pass"
 READ = "Use Particle Tracing or Two-Pass"
@@ -135,9 +137,13 @@ def chance_light(
     row, light, chance = (np.concatenate(x) for x in (rows, light, chance))
     # Where enough paths meet any of the lights that come the same way, light is found: it is noisy at worst, and noise is measured.
     if paths is not None:
-        light = light * (paths * chance * _alike(first[row], p.light[row], light) < FEW)
+        chance = _joint_chance(first[row], p.light[row], light, chance)
+        light = light * (paths * chance < FEW)
+    # Lights of which there are few particles are judged together.
+    judged = np.where(np.bincount(p.light, minlength=len(sources)) < ENOUGH, len(sources), np.arange(len(sources)))
     missing = np.bincount(p.light[row], light, len(sources))
-    told = missing >= LEAST * np.maximum(entered, 1e-300)
+    some, whole = (np.bincount(judged, x, len(sources) + 1)[judged] for x in (missing, entered))
+    told = (some >= LEAST * np.maximum(whole, 1e-300)) & (missing > 0)
     light, total = light * told[p.light[row]], float(missing[told].sum())
     if total <= 0:
         return None
@@ -147,24 +153,33 @@ def chance_light(
     return ChanceLight(total / float(entered[told].sum()), met_by / total, [emission.names[i] for i in np.flatnonzero(told)], via)
 
 
-def _alike(first: np.ndarray, source: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """(n,) of how many sources alike the `light` (n,) comes that has first met objects `first` (n,): their number where all give as much,
-    1 where one gives nearly all."""
+def _joint_chance(first: np.ndarray, source: np.ndarray, light: np.ndarray, chance: np.ndarray) -> np.ndarray:
+    """(n,) middle chance, over its `light` (n,), to meet the source by way of the object `first` (n,), or another source that comes the
+    same way: of those each counts as far as it gives as much, and is met as often."""
     way, back = np.unique(first, return_inverse=True)
     pair, which = np.unique(back * (int(source.max(initial=0)) + 1) + source, return_inverse=True)
     each = np.bincount(which, light, len(pair))
-    owner = np.zeros(len(pair), np.int64)
+    order = np.lexsort((chance, which))
+    upto, last = np.cumsum(light[order]), np.cumsum(np.bincount(which, minlength=len(pair))) - 1
+    middle = chance[order][np.minimum(np.searchsorted(upto, upto[last] - each / 2), last)]
+    owner, joint = np.zeros(len(pair), np.int64), np.zeros(len(pair))
     owner[which] = back
-    total, squares = np.bincount(owner, each, len(way)), np.bincount(owner, each**2, len(way))
-    return (total**2 / np.maximum(squares, 1e-300))[back]
+    for k in range(len(way)):
+        own = np.flatnonzero(owner == k)
+        others = own[np.argsort(-each[own], kind="stable")[:MOST_JOINT]]
+        as_much = np.minimum(1, each[others] / np.maximum(each[own, None], 1e-300))
+        joint[own] = (np.minimum(middle[others], middle[own, None]) * as_much).sum(axis=1)
+    return joint[which]
 
 
 def solid_angles(sources: list[ParticleSource], light: np.ndarray, at: np.ndarray, distance: np.ndarray) -> np.ndarray:
     """(n,) float64 rough solid angles of sources `light` (n,) as seen from `at` (n, 3), `distance` (n,) m from where light started."""
     out = np.zeros(len(light))
-    for index, source in enumerate(sources):
-        rows = np.flatnonzero(light == index)
-        if not source.kind.sized or not len(rows):
+    order = np.argsort(light, kind="stable")
+    present, begin = np.unique(light[order], return_index=True)
+    for index, first, end in zip(present, begin, [*begin[1:], len(light)], strict=False):
+        source, rows = sources[index], order[first:end]
+        if not source.kind.sized:
             continue
         if isinstance(source.kind, LampKind):
             # Points of lamps are drawn with a density per solid angle, which is the reciprocal of what they fill.
