@@ -386,7 +386,7 @@ BUGS = (
     Bug(
         "particles that weigh lightmaps leave large objects by their area",
         "adjoint_gi/core/flux/density.py",
-        "world.area[triangle] / np.sqrt(whole[owner])",
+        "world.area[triangle] * (root / np.maximum(whole, 1e-300))[owner]",
         "world.area[triangle]",
         "tests/core/test_density.py -k root_of_its_area",
     ),

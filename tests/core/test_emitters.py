@@ -498,14 +498,3 @@ def test_far_from_the_origin():
     b.quad("Floor", far - (2, 2, 0), (4, 0, 0), (0, 4, 0), diffuse("Grey", 0.5))
     b.light(lamp("area", position=tuple(far + (0, 0, 3)), size_x=2.0, size_y=1.0))
     agrees(b, PI * 4 * corner(1, 0.5, 3))
-
-
-def test_objects_that_emit_look_at_their_own_materials_alone(monkeypatch):
-    """Each at those of all took 25 s for 900 objects with a material each."""
-    b = SceneBuilder()
-    for k in range(40):
-        b.quad(f"Panel {k}", (k, 0, 0), (0.5, 0, 0), (0, 0.5, 0), diffuse(f"Glow {k}", 0.0, 1.0))
-    world, asked = World(b.build()), []
-    total = Material.total
-    monkeypatch.setattr(Material, "total", lambda self, kind: asked.append(self.name) or total(self, kind))
-    assert len(Emitters(world).mesh.objects) == 40 and len(asked) < 10 * 40
