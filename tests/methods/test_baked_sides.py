@@ -17,7 +17,7 @@ WHITE, PANEL = diffuse("White", 0.5), diffuse("Panel", 0.0, 3.0)
 INSIDE = look((0.4, 2, 1.3), (1, 0, 0))
 BESIDE = look((-6, 2, 1.3), (1, 0, 0))
 OPTIONS = {
-    "path_tracing": {"samples": 64},
+    "path_tracing": {"samples": 1024},
     "distribution": {"samples": 16},
     "irradiance_cache": {"rays": 128},
     "local_illumination": {"light_points": 64, "ambient": 0.0},
