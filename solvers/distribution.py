@@ -103,14 +103,8 @@ class Distribution(Solver):
         """Yield after every few batches of samples."""
         emitters = Emitters(world)
         paths = settings.samples * settings.brdf_samples**settings.split_depth
-        run = Run(
-            self.spec,
-            world,
-            receivers,
-            settings,
-            emitters,
-            unmet_lamps.notices(emitters, paths, measure=receivers.measure, longest=settings.max_length),
-        )
+        rare = unmet_lamps.notices(emitters, paths, measure=receivers.measure, longest=settings.max_length)
+        run = Run(self.spec, world, receivers, settings, emitters, rare)
         tracer = DistributionTracer(world, emitters, receivers, settings, int(rng.integers(0, 1 << 32)))
         # Lo = Le + light points + BRDF rays (Eq. 5), at the points of every sample.
         yield from run.random_samples(settings.samples, rng, place=tracer.place, batch=tracer.batch)

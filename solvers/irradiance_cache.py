@@ -95,14 +95,8 @@ class IrradianceCache(Solver):
     def solve(self, world: World, receivers: Receivers, settings: CacheSettings, rng: np.random.Generator) -> Iterator[Step]:
         """Yield after every round of records, then as the receivers are read."""
         emitters = Emitters(world)
-        run = Run(
-            self.spec,
-            world,
-            receivers,
-            settings,
-            emitters,
-            unmet_lamps.notices(emitters, settings.rays, measure=receivers.measure, longest=settings.max_length),
-        )
+        rare = unmet_lamps.notices(emitters, settings.rays, measure=receivers.measure, longest=settings.max_length)
+        run = Run(self.spec, world, receivers, settings, emitters, rare)
         walk = Walk(world, emitters, BsdfTable(world.scene), settings.min_length, settings.max_length)
         seed = rng.integers(0, 1 << 63, 4).tolist()
         state = CacheRun(world, settings, walk, seed)

@@ -23,6 +23,7 @@ from adjgi.tests import baking
 from adjgi.tests.cycles_patch import add_light, diffuse_material, shader_material, white_plane
 
 SEEDS = 8
+MORE_SEEDS = {"spot": 12}  # which lights a part of the floor alone, so that its mean has more noise
 TEXELS = 16
 SAMPLES = 48
 BRIGHT = {"energy": 100.0}
@@ -88,7 +89,7 @@ def check(comparison, noise, comparisons):
     said = show(c, limit)
     print(said)
     assert abs(c.mean) < 0.01, said
-    assert c.mean_error < 0.004, said
+    assert c.mean_error < 0.003, said
     assert c.worst < limit, said
     assert np.sqrt((c.z**2).mean()) < 1.2, said
     assert c.noise < noise, said
@@ -123,8 +124,9 @@ def test_every_kind_of_light(edge, case):
     baking.use_cycles(bpy.context.scene, 3)
     values = {"samples": SAMPLES, "max_length": 3}
     more = {"resolution": TEXELS, "subsamples": 256, "objects": ("plane",), "uv_layer": "UVMap"}
-    ours = [baking.lightmaps(baking.request(values={**values, "seed": seed}, **more))["plane"] for seed in range(SEEDS)]
-    theirs = [baking.cycles_irradiance(floor, TEXELS, "UVMap", SAMPLES, seed) for seed in range(SEEDS)]
+    seeds = range(MORE_SEEDS.get(case, SEEDS))
+    ours = [baking.lightmaps(baking.request(values={**values, "seed": seed}, **more))["plane"] for seed in seeds]
+    theirs = [baking.cycles_irradiance(floor, TEXELS, "UVMap", SAMPLES, seed) for seed in seeds]
     theirs = theirs if covers_all(edge) else [widened(image) for image in theirs]
     used = inner(ours[0].whole)
     assert used.sum() > 0.7 * TEXELS**2
